@@ -1,0 +1,441 @@
+#![allow(
+    rustdoc::invalid_html_tags,
+    reason = "doc comments here are help texts, where <camera> is a placeholder"
+)]
+
+//! Arguments and help. Help teaches: every command says what it makes and shows how it is called.
+
+use crate::values::{Pixel, duration, pixel, point, positive, size};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+const OVERVIEW: &str = "\
+The way from two captures to a picture:
+  comgs reconstruct photos/cow  -o cow.asset
+  comgs reconstruct photos/room -o room.asset
+  comgs place   --scene room.asset --object cow.asset --pixel 00003,256,180 -o transform.json
+  comgs compose --scene room.asset --object cow.asset --transform transform.json \\
+                --cameras photos/room -o out/cow_in_room
+  open out/cow_in_room/report.html
+
+`comgs demo` does all of it on two small captures that ship with the source. A stage whose inputs did not change is not
+run again. Ctrl-C stops at the next state that can be resumed.";
+
+/// Put captured objects into captured scenes.
+///
+/// Give posed photos of an object and posed photos of a place, say where the object goes, and get frames in which it
+/// stands there, with its shadow.
+#[derive(Debug, Parser)]
+#[command(name = "comgs", version, max_term_width = 100, after_long_help = OVERVIEW, after_help = OVERVIEW)]
+pub(crate) struct Cli {
+    /// Number of threads; all cores when absent
+    #[arg(long, global = true, value_name = "N", value_parser = threads)]
+    pub threads: Option<usize>,
+
+    /// Say nothing but warnings and results
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+fn threads(text: &str) -> Result<usize, String> {
+    match text.parse::<usize>() {
+        Ok(n) if (1..=1024).contains(&n) => Ok(n),
+        _ => Err("expected a number of threads from 1 to 1024".into()),
+    }
+}
+
+/// The commands, in the order of the work.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    Reconstruct(Reconstruct),
+    Place(Place),
+    Light(Light),
+    Render(Render),
+    Compose(Compose),
+    Eval(Eval),
+    Synth(Synth),
+    Demo(Demo),
+    Info(Info),
+}
+
+/// What a capture shows.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Kind {
+    /// One thing, cut out by masks, cameras around it
+    Object,
+    /// A place that fills the frames
+    Scene,
+}
+
+/// Time against quality.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Quality {
+    /// A look at the result, in about a minute
+    Draft,
+    /// The default
+    Balanced,
+    /// As good as it gets on this machine
+    Reference,
+}
+
+/// Make an asset (surfels) from a capture (posed photos)
+///
+/// A capture is a folder in one of the usual forms: COLMAP (`sparse/`), Blender/NeRF (`transforms.json` or
+/// `transforms_train.json`), or SynCom (`cameras.json` or `train/cameras.json`). Masks come from the images' alpha or
+/// from mask files beside them; lens distortion is removed on load.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs reconstruct photos/cow -o cow.asset
+  comgs reconstruct photos/room -o room.asset --quality draft --time-budget 5m
+  comgs reconstruct photos/room -o room.asset --resume      continue what was interrupted
+  comgs reconstruct --check photos/room                     list every problem, do nothing")]
+pub(crate) struct Reconstruct {
+    /// Folder of the capture, or its camera list
+    pub capture: PathBuf,
+
+    /// Folder of the asset to make
+    #[arg(short, long, value_name = "ASSET", required_unless_present = "check")]
+    pub output: Option<PathBuf>,
+
+    /// What the capture shows; when absent, photos with masks show an object
+    #[arg(long, value_enum)]
+    pub kind: Option<Kind>,
+
+    /// Time against quality
+    #[arg(long, value_enum, default_value = "balanced")]
+    pub quality: Quality,
+
+    /// End after this time with the best model so far (90s, 5m, 1h30m)
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub time_budget: Option<f64>,
+
+    /// Same seed, same bytes (without a time budget)
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+
+    /// Hard limit on the number of surfels instead of the quality's own
+    #[arg(long, value_name = "N")]
+    pub budget_surfels: Option<usize>,
+
+    /// Reduce photos to this width in pixels
+    #[arg(long, value_name = "PX", default_value_t = 1600)]
+    pub max_width: usize,
+
+    /// Continue from the checkpoint that an interrupted run left
+    #[arg(long)]
+    pub resume: bool,
+
+    /// Only list every problem of the capture, each with its path
+    #[arg(long)]
+    pub check: bool,
+}
+
+/// Say where an object stands in a scene
+///
+/// The object's base (the lowest point of its body) is put on the point given, upright. The local ground is looked at:
+/// floating, sunk, sloping and unobserved places are warned of, with figures.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs place --scene room.asset --object cow.asset --pixel 00003,256,180 -o transform.json
+  comgs place --scene room.asset --object cow.asset --at 0.3,-1.2,0 --size 0.5 --yaw 30 -o transform.json")]
+pub(crate) struct Place {
+    /// Scene asset, or a PLY of surfels
+    #[arg(long)]
+    pub scene: PathBuf,
+
+    /// Object asset, or a PLY of surfels
+    #[arg(long)]
+    pub object: PathBuf,
+
+    /// Point of the scene's world
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true,
+          required_unless_present = "pixel", conflicts_with = "pixel")]
+    pub at: Option<[f64; 3]>,
+
+    /// What a view shows at a pixel (x right, y down)
+    #[arg(long, value_name = "VIEW,X,Y", value_parser = pixel)]
+    pub pixel: Option<Pixel>,
+
+    /// Camera list for --pixel, when the scene does not know its own
+    #[arg(long)]
+    pub cameras: Option<PathBuf>,
+
+    /// Largest extent of the object in scene units; a share of the cameras' distance when absent
+    #[arg(long, allow_hyphen_values = true, value_parser = positive)]
+    pub size: Option<f64>,
+
+    /// Turn about up, counter-clockwise seen from above
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
+    pub yaw: f64,
+
+    /// The transform.json to write
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+}
+
+/// How the unseen part of the light is filled.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Completion {
+    /// The smoothest light that agrees with what was seen
+    Harmonic,
+    /// Black
+    None,
+}
+
+/// Find the light that falls on a place
+///
+/// Looks around in the scene's radiance field and fills what was never seen. Writes an equirectangular HDR map and
+/// pictures of it, of what was seen, and of how much that was.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs light --scene room.asset --at 0.3,-1.2,0.25 -o env.exr
+  comgs light --scene room.asset --at 0.3,-1.2,0.25 -o env.exr --completion none --height 256")]
+pub(crate) struct Light {
+    /// Scene asset, or a PLY of surfels
+    #[arg(long)]
+    pub scene: PathBuf,
+
+    /// Where to look around from: the middle of the object, not its base
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    pub at: [f64; 3],
+
+    /// How the unseen part is filled
+    #[arg(long, value_enum, default_value = "harmonic")]
+    pub completion: Completion,
+
+    /// Height of the map in texels; it is twice as wide
+    #[arg(long, default_value_t = 128, value_parser = map_height)]
+    pub height: usize,
+
+    /// Do not see surfels nearer than this (scene units), such as floaters
+    #[arg(long, value_name = "DISTANCE", default_value_t = 0.0)]
+    pub near: f64,
+
+    /// The map to write
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+}
+
+fn map_height(text: &str) -> Result<usize, String> {
+    match text.parse::<usize>() {
+        Ok(n) if (2..=4096).contains(&n) => Ok(n),
+        _ => Err("expected a height from 2 to 4096 texels".into()),
+    }
+}
+
+/// Render an asset as cameras see it
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs render cow.asset --cameras photos/cow/test/cameras.json -o out/cow
+  comgs render published.ply --cameras photos/room -o out/room --layers")]
+pub(crate) struct Render {
+    /// Asset, or a PLY of surfels
+    pub asset: PathBuf,
+
+    /// Any camera list or capture
+    #[arg(long)]
+    pub cameras: PathBuf,
+
+    /// Output folder: frames/<camera>.png
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+
+    /// Also write layers/<camera>.exr: beauty, depth, normal, material
+    #[arg(long)]
+    pub layers: bool,
+}
+
+/// Put objects into a scene, with their shadows
+///
+/// Captures are reconstructed first, into the output folder. Writes frames, the empty scene, a preview, composition.json
+/// and a report to look at.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs compose --scene room.asset --object cow.asset --transform transform.json --cameras cameras.json -o out/cow
+  comgs compose --scene photos/room --object photos/cow --transform t.json --cameras photos/room -o out --layers
+  comgs compose --scene room.asset --object cow.asset --object cow.asset --transform two.json --cameras c.json -o out
+  comgs compose … --against composition/room_with_cow       also score against ground truth")]
+pub(crate) struct Compose {
+    /// Capture, asset or PLY of the scene
+    #[arg(long)]
+    pub scene: PathBuf,
+
+    /// Capture, asset or PLY of an object; may be given several times
+    #[arg(long = "object", required = true)]
+    pub objects: Vec<PathBuf>,
+
+    /// Where the objects stand: made by `comgs place`, or from a SynCom composition
+    #[arg(long, value_name = "FILE")]
+    pub transform: PathBuf,
+
+    /// Any camera list or capture
+    #[arg(long)]
+    pub cameras: PathBuf,
+
+    /// Output folder
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+
+    /// Environment map instead of a sweep of the scene
+    #[arg(long, value_name = "EXR")]
+    pub light: Option<PathBuf>,
+
+    /// Composition with ground truth, to score the frames
+    #[arg(long, value_name = "DIR")]
+    pub against: Option<PathBuf>,
+
+    /// Also write layers/<camera>.exr: beauty, object, scene, shadow, depth, normal, mask
+    #[arg(long)]
+    pub layers: bool,
+
+    /// Leave the scene without the objects' shadows
+    #[arg(long)]
+    pub no_shadow: bool,
+
+    /// Light samples a pixel for the shadow
+    #[arg(long, value_name = "N", default_value_t = 128, value_parser = rays)]
+    pub shadow_rays: u32,
+
+    /// Leave the shadow as noisy as it was traced
+    #[arg(long)]
+    pub no_denoise: bool,
+
+    /// Order scene and object by a depth test: faster, with fringes at scene edges
+    #[arg(long)]
+    pub depth_test: bool,
+
+    /// How captures are reconstructed
+    #[arg(long, value_enum, default_value = "balanced")]
+    pub quality: Quality,
+
+    /// Time for each capture to be reconstructed (5m)
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub time_budget: Option<f64>,
+
+    /// Same seed, same bytes
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+fn rays(text: &str) -> Result<u32, String> {
+    match text.parse::<u32>() {
+        Ok(n) if (1..=65_536).contains(&n) => Ok(n),
+        _ => Err("expected a number of rays from 1 to 65536".into()),
+    }
+}
+
+/// Score an asset or frames against ground truth
+///
+/// An asset is rendered at a capture's held-out views and compared with the photos (PSNR, SSIM, FLIP), and with normals
+/// and depths where the capture has them. Frames are compared with pictures of the same names; a composition with mask/
+/// and empty/ is scored by region (object, shadow, elsewhere), beside the empty scene as a baseline.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs eval cow.asset --against photos/cow
+  comgs eval out/cow_in_room --against composition/room_with_cow --json scores.json")]
+pub(crate) struct Eval {
+    /// Asset, PLY, or folder of frames
+    pub subject: PathBuf,
+
+    /// Capture or composition
+    #[arg(long, value_name = "TRUTH")]
+    pub against: PathBuf,
+
+    /// Write the scores as JSON too
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Make captures with exact ground truth
+///
+/// Renders a recipe with a small path tracer into the SynCom layout: objects, objects under other lights, scenes,
+/// compositions, ground-truth planes and light.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs synth tiny -o out/tiny
+  comgs synth room -o out/room --scene-size 320x180 --samples 32
+  comgs synth my_recipe.json -o out/mine --seed 7
+  comgs synth list                                          names of the built-in recipes")]
+pub(crate) struct Synth {
+    /// A built-in recipe, a recipe file, or `list`
+    pub recipe: String,
+
+    /// Folder to write, new or empty
+    #[arg(short, long, value_name = "ROOT")]
+    pub output: Option<PathBuf>,
+
+    /// Seed of everything random
+    #[arg(long)]
+    pub seed: Option<u64>,
+
+    /// Size of object views
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    pub object_size: Option<(usize, usize)>,
+
+    /// Size of scene and composition views
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    pub scene_size: Option<(usize, usize)>,
+
+    /// Training views of each capture
+    #[arg(long, value_name = "N")]
+    pub train_views: Option<usize>,
+
+    /// Test views of each capture, and views of each composition
+    #[arg(long, value_name = "N")]
+    pub test_views: Option<usize>,
+
+    /// Paths a pixel
+    #[arg(long, value_name = "N")]
+    pub samples: Option<u32>,
+}
+
+/// Do all of it on two small captures that ship with the source
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs demo
+  comgs demo -o /tmp/demo --quality balanced")]
+pub(crate) struct Demo {
+    /// Output folder
+    #[arg(short, long, value_name = "DIR", default_value = "out/demo")]
+    pub output: PathBuf,
+
+    /// The demo's captures; assets/demo of the source when absent
+    #[arg(long, value_name = "DIR")]
+    pub assets: Option<PathBuf>,
+
+    /// Time against quality
+    #[arg(long, value_enum, default_value = "draft")]
+    pub quality: Quality,
+
+    /// Seed
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+/// Say what a file or folder holds
+///
+/// Assets, PLYs of any dialect, EXR and other pictures, captures, camera lists, transform.json, composition.json and
+/// run.json.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs info cow.asset
+  comgs info published.ply
+  comgs info photos/room
+  comgs info out/cow/layers/00000.exr")]
+pub(crate) struct Info {
+    /// What to look at
+    #[arg(required = true)]
+    pub paths: Vec<PathBuf>,
+}

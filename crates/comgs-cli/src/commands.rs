@@ -1,0 +1,220 @@
+//! From arguments to stages, and from their results to what is printed.
+
+use crate::args::{self, Cli, Command};
+use crate::terminal::Terminal;
+use anyhow::{Context as _, bail};
+use clap::CommandFactory;
+use comgs_inverse::{Kind, Quality};
+use comgs_pipeline::stages::{compose, demo, eval, info, light, place, reconstruct, render, synth};
+use comgs_pipeline::{CancelToken, Context};
+use comgs_scene::{CheckDepth, check_with};
+use std::path::Path;
+use std::process::ExitCode;
+
+impl From<args::Kind> for Kind {
+    fn from(kind: args::Kind) -> Self {
+        match kind {
+            args::Kind::Object => Self::Object,
+            args::Kind::Scene => Self::Scene,
+        }
+    }
+}
+
+impl From<args::Quality> for Quality {
+    fn from(quality: args::Quality) -> Self {
+        match quality {
+            args::Quality::Draft => Self::Draft,
+            args::Quality::Balanced => Self::Balanced,
+            args::Quality::Reference => Self::Reference,
+        }
+    }
+}
+
+/// Runs the command that was asked for.
+pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
+    let terminal = Terminal::new(cli.quiet);
+    let context = Context { progress: &terminal, cancel };
+    match &cli.command {
+        Command::Reconstruct(a) if a.check => return check(&a.capture),
+        Command::Reconstruct(a) => run_reconstruct(a, &context)?,
+        Command::Place(a) => run_place(a, &context)?,
+        Command::Light(a) => run_light(a, &context)?,
+        Command::Render(a) => run_render(a, &context)?,
+        Command::Compose(a) => run_compose(a, &context)?,
+        Command::Eval(a) => run_eval(a, &context)?,
+        Command::Synth(a) => run_synth(a, &context)?,
+        Command::Demo(a) => run_demo(a, &context)?,
+        Command::Info(a) => {
+            for path in &a.paths {
+                print!("{}", info::run(path)?.to_text());
+            }
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Lists every problem of a capture; fails when it cannot be used.
+fn check(capture: &Path) -> anyhow::Result<ExitCode> {
+    std::fs::metadata(capture).with_context(|| format!("cannot be read: {}", capture.display()))?;
+    let report = check_with(capture, CheckDepth::Pixels);
+    println!("{report}");
+    Ok(if report.is_sound() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn run_reconstruct(a: &args::Reconstruct, context: &Context<'_>) -> anyhow::Result<()> {
+    let Some(output) = a.output.clone() else { bail!("-o ASSET is missing") };
+    let input = reconstruct::Input { capture: a.capture.clone(), output };
+    let config = reconstruct::Config {
+        kind: a.kind.map(Into::into),
+        quality: a.quality.into(),
+        time_budget_s: a.time_budget,
+        seed: a.seed,
+        max_surfels: a.budget_surfels,
+        max_width: a.max_width,
+        resume: if a.resume { reconstruct::Resume::Expected } else { reconstruct::Resume::Never },
+        ..reconstruct::Config::default()
+    };
+    let made = reconstruct::run(&input, &config, context)?;
+    println!("{}", made.asset.display());
+    Ok(())
+}
+
+fn run_place(a: &args::Place, context: &Context<'_>) -> anyhow::Result<()> {
+    let at = match (&a.at, &a.pixel) {
+        (Some(p), _) => place::At::Point(*p),
+        (None, Some(p)) => place::At::Pixel { view: p.view.clone(), x: p.x, y: p.y },
+        (None, None) => bail!("one of --at and --pixel is needed"),
+    };
+    let input = place::Input {
+        scene: a.scene.clone(),
+        object: a.object.clone(),
+        cameras: a.cameras.clone(),
+        output: a.output.clone(),
+    };
+    let placed = place::run(&input, &place::Config { at, size: a.size, yaw_deg: a.yaw }, context)?;
+    println!("base    {:.4}", placed.base);
+    println!("size    {:.4} ({})", placed.size, placed.size_reason);
+    if let Some(normal) = placed.report.ground_normal {
+        println!(
+            "ground  normal {normal:.3}, under {:.0} % of the footprint",
+            100.0 * placed.report.ground_coverage
+        );
+    }
+    if let Some(gap) = placed.report.gap {
+        println!("gap     {gap:+.4} (base over ground)");
+    }
+    println!("{}", a.output.display());
+    Ok(())
+}
+
+fn run_light(a: &args::Light, context: &Context<'_>) -> anyhow::Result<()> {
+    let input = light::Input { scene: a.scene.clone(), output: a.output.clone() };
+    let config = light::Config {
+        at: a.at,
+        completion: match a.completion {
+            args::Completion::Harmonic => light::Fill::Harmonic,
+            args::Completion::None => light::Fill::None,
+        },
+        height: a.height,
+        samples: 2,
+        near: a.near,
+    };
+    let made = light::run(&input, &config, context)?;
+    println!("seen    {:.1} % of the sphere", 100.0 * made.coverage);
+    for path in [&made.environment, &made.pictures.environment, &made.pictures.sweep, &made.pictures.alpha] {
+        println!("{}", path.display());
+    }
+    Ok(())
+}
+
+fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Result<()> {
+    let input =
+        render::Input { asset: a.asset.clone(), cameras: a.cameras.clone(), output: a.output.clone() };
+    render::run(&input, &render::Config { layers: a.layers }, context)?;
+    println!("{}", a.output.join("frames").display());
+    Ok(())
+}
+
+fn run_compose(a: &args::Compose, context: &Context<'_>) -> anyhow::Result<()> {
+    let input = compose::Input {
+        scene: a.scene.clone(),
+        objects: a.objects.clone(),
+        transform: a.transform.clone(),
+        cameras: a.cameras.clone(),
+        light: a.light.clone(),
+        truth: a.against.clone(),
+        output: a.output.clone(),
+    };
+    let config = compose::Config {
+        layers: a.layers,
+        shadow: !a.no_shadow,
+        shadow_rays: a.shadow_rays,
+        denoise: !a.no_denoise,
+        split_order: !a.depth_test,
+        seed: a.seed,
+        reconstruct: reconstruct::Config {
+            quality: a.quality.into(),
+            time_budget_s: a.time_budget,
+            seed: a.seed,
+            ..reconstruct::Config::default()
+        },
+    };
+    let made = compose::run(&input, &config, context)?;
+    if let Some(evaluation) = &made.evaluation {
+        println!("{}", evaluation.to_text());
+    }
+    println!("{}", made.frames.display());
+    println!("{}", made.report.display());
+    Ok(())
+}
+
+fn run_eval(a: &args::Eval, context: &Context<'_>) -> anyhow::Result<()> {
+    let input = eval::Input { subject: a.subject.clone(), against: a.against.clone(), json: a.json.clone() };
+    print!("{}", eval::run(&input, context)?.to_text());
+    Ok(())
+}
+
+fn run_synth(a: &args::Synth, context: &Context<'_>) -> anyhow::Result<()> {
+    if a.recipe == "list" && a.output.is_none() {
+        for name in synth::builtin_names() {
+            println!("{name}");
+        }
+        return Ok(());
+    }
+    let Some(output) = a.output.clone() else {
+        let missing = clap::error::ErrorKind::MissingRequiredArgument;
+        Cli::command().error(missing, "-o ROOT is needed (or `comgs synth list` for the names)").exit()
+    };
+    let overrides = comgs_synth::Overrides {
+        object_size: a.object_size,
+        scene_size: a.scene_size,
+        train_views: a.train_views,
+        test_views: a.test_views,
+        samples: a.samples,
+        seed: a.seed,
+    };
+    synth::run(&synth::Input { recipe: a.recipe.clone(), output: output.clone() }, &overrides, context)?;
+    println!("{}", output.display());
+    Ok(())
+}
+
+fn run_demo(a: &args::Demo, context: &Context<'_>) -> anyhow::Result<()> {
+    let assets = match &a.assets {
+        Some(folder) => folder.clone(),
+        None => demo::find_assets()
+            .context("assets/demo was not found in this folder or above it; --assets DIR says where it is")?,
+    };
+    let input = demo::Input { assets, output: a.output.clone() };
+    let config = demo::Config { quality: a.quality.into(), seed: a.seed, ..demo::Config::default() };
+    let made = demo::run(&input, &config, context)?;
+    for evaluation in
+        [Some(&made.object), Some(&made.scene), made.compose.evaluation.as_ref()].into_iter().flatten()
+    {
+        println!("{}", evaluation.to_text());
+    }
+    println!("The pictures:");
+    println!("  {}", made.compose.report.display());
+    println!("  {}", made.compose.frames.display());
+    println!("  {}", a.output.join("composed").join("preview.gif").display());
+    Ok(())
+}

@@ -1,0 +1,26 @@
+//! Composition: the shadow an object casts on the scene, depth compositing without fringes, and the layers of a
+//! frame.
+//!
+//! Modules in the order a frame is made: [`objects`] places and merges what is inserted, [`placement`] says
+//! whether it stands on anything, [`receivers`] are what the camera sees of the scene, [`shadow`] traces their ratio of
+//! Eq. 15–17 which [`denoise`] smooths, [`over`]
+//! puts scene and object in order, [`frame`] runs all of it for one camera, and [`layers`] writes the result.
+//!
+//! Nothing here knows the command line; only [`layers`] writes a file.
+
+pub mod denoise;
+pub mod frame;
+pub mod layers;
+pub mod objects;
+pub mod over;
+pub mod placement;
+pub mod receivers;
+pub mod shadow;
+
+pub use denoise::{AtrousConfig, Denoise};
+pub use frame::{ComposeConfig, ComposeError, ComposedFrame, Composer};
+pub use objects::{PlacedObject, merge};
+pub use over::Ordering;
+pub use placement::{PlacementConfig, PlacementReport, check_placement};
+pub use receivers::Receivers;
+pub use shadow::{DARK, LightSample, LightSource, Occluder, ShadowConfig, shadow_ratio};

@@ -1,0 +1,13 @@
+//! Light at a place: a 360° sweep of the scene's radiance field around it, and what to put where the scene was never
+//! seen.
+//!
+//! [`sweep()`] traces an equirectangular panorama through the surfels; [`complete()`] fills its holes. The harmonic
+//! completion is the baseline without learning that a learned one must beat: the smoothest field of log radiance on
+//! the sphere that agrees with what was seen.
+
+pub mod completion;
+mod poisson;
+pub mod sweep;
+
+pub use completion::{Completion, CompletionError, complete, complete_harmonic};
+pub use sweep::{Sweep, SweepConfig, sweep};

@@ -1,0 +1,13 @@
+//! The stages, one module each, in the order of the flow.
+
+pub mod compose;
+pub mod demo;
+pub mod eval;
+pub mod info;
+pub mod light;
+pub mod place;
+pub mod reconstruct;
+pub mod render;
+pub mod synth;
+
+pub(crate) mod frames;

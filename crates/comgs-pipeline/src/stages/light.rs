@@ -1,0 +1,172 @@
+//! `light`: what shines on a place, as an HDR environment map.
+
+use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, source};
+use comgs_image::transfer::linear_from_srgb;
+use comgs_image::{Image, write_exr, write_png};
+use comgs_panorama::{Completion, SweepConfig, sweep};
+use comgs_scene::AssetKind;
+use comgs_trace::{TraceConfig, Tracer};
+use glam::DVec3;
+use serde::Serialize;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Inputs of the stage.
+#[derive(Clone, Debug)]
+pub struct Input {
+    /// Scene asset or PLY.
+    pub scene: PathBuf,
+    /// The environment map to write (EXR); pictures go beside it.
+    pub output: PathBuf,
+}
+
+/// How what was never seen is filled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Fill {
+    /// The smoothest field of log radiance that agrees with what was seen.
+    Harmonic,
+    /// Black.
+    None,
+}
+
+/// Knobs of the stage.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Config {
+    /// Where to look around from, scene world.
+    pub at: [f64; 3],
+    /// How holes are filled.
+    pub completion: Fill,
+    /// Height of the map in texels; it is twice as wide.
+    pub height: usize,
+    /// Rays a texel along each side.
+    pub samples: usize,
+    /// Surfels nearer than this are not seen, scene units; about half the size of the object that will stand there.
+    pub near: f64,
+}
+
+impl Config {
+    /// Around a point, 256×128 texels.
+    #[must_use]
+    pub fn at(at: DVec3) -> Self {
+        Self { at: at.to_array(), completion: Fill::Harmonic, height: 128, samples: 2, near: 0.0 }
+    }
+}
+
+/// What came out.
+#[derive(Clone, Debug)]
+pub struct Output {
+    /// The map.
+    pub environment: PathBuf,
+    /// Pictures: the map, the sweep alone, its coverage.
+    pub pictures: Pictures,
+    /// Share of the sphere that was seen.
+    pub coverage: f64,
+    /// Whether an earlier result was still good.
+    pub reused: bool,
+    /// The record.
+    pub record: RunRecord,
+}
+
+/// Where the pictures are.
+#[derive(Clone, Debug)]
+pub struct Pictures {
+    /// The completed map, clipped sRGB.
+    pub environment: PathBuf,
+    /// What was seen, over black.
+    pub sweep: PathBuf,
+    /// How much was seen, grey.
+    pub alpha: PathBuf,
+}
+
+impl Pictures {
+    /// Beside `env.exr`: `env.png`, `sweep.png`, `alpha.png`.
+    fn beside(environment: &Path) -> Self {
+        Self {
+            environment: environment.with_extension("png"),
+            sweep: environment.with_file_name("sweep.png"),
+            alpha: environment.with_file_name("alpha.png"),
+        }
+    }
+}
+
+/// Sweeps the scene's radiance field around a point, completes it, and writes it as `env.exr` with pictures.
+///
+/// # Errors
+/// [`PipelineError`]; a point from which nothing at all was reconstructed is refused, because there is nothing to
+/// complete.
+pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Output, PipelineError> {
+    context.progress.begin("light");
+    let mut run = Run::for_file("light", &input.output);
+    if !config.at.iter().all(|v| v.is_finite()) {
+        return Err(PipelineError::input("--at", "three finite numbers", format!("{:?}", config.at)));
+    }
+    let mut fingerprint = Fingerprint::new("light");
+    fingerprint.surfels("scene", &input.scene)?;
+    fingerprint.config("config", config)?;
+    let fingerprint = fingerprint.finish();
+    let pictures = Pictures::beside(&input.output);
+    if let Some(record) = run.reusable(&fingerprint) {
+        context.progress.end("unchanged since the last run; nothing to do");
+        let coverage = record.results["coverage"].as_f64().unwrap_or(0.0);
+        return Ok(Output { environment: input.output.clone(), pictures, coverage, reused: true, record });
+    }
+    run.describe(fingerprint, json!({"scene": input.scene}), config, None)?;
+    let asset = run.time("load", || source::load_surfels(&input.scene, AssetKind::Scene))?;
+    let tracer = run.time("tree", || Tracer::new(&asset.surfels, &TraceConfig::default()))?;
+    context.check()?;
+    let height = config.height.max(2);
+    let seen = run.time("sweep", || {
+        let sweep_config =
+            SweepConfig { t_min: config.near as f32, samples: config.samples, ..SweepConfig::default() };
+        let centre = DVec3::from_array(config.at).as_vec3();
+        Ok::<_, PipelineError>(sweep(&tracer, centre, 2 * height, height, &sweep_config))
+    })?;
+    context.check()?;
+    let completion = match config.completion {
+        Fill::Harmonic => Completion::Harmonic,
+        Fill::None => Completion::None,
+    };
+    let completed = run.time("complete", || seen.complete(completion)).map_err(|e| {
+        let at = config.at.map(|v| format!("{v:.3}")).join(", ");
+        PipelineError::input(
+            format!("light at ({at})"),
+            "a place that the scene's cameras saw something of",
+            e.to_string(),
+        )
+    })?;
+    run.invalidate()?;
+    let coverage = f64::from(seen.coverage);
+    run.time("save", || save(input, &pictures, &completed, &seen.rgb, &seen.alpha))?;
+    for path in [&input.output, &pictures.environment, &pictures.sweep, &pictures.alpha] {
+        run.output(path)?;
+    }
+    run.results(json!({"coverage": coverage, "size": [2 * height, height]}));
+    let record = run.finish()?;
+    context.progress.end(&format!(
+        "{}: {:.0} % of the sphere was seen, the rest is {}",
+        input.output.display(),
+        100.0 * coverage,
+        if config.completion == Fill::Harmonic { "filled smoothly" } else { "black" }
+    ));
+    Ok(Output { environment: input.output.clone(), pictures, coverage, reused: false, record })
+}
+
+fn save(
+    input: &Input,
+    pictures: &Pictures,
+    completed: &Image,
+    rgb: &Image,
+    alpha: &Image,
+) -> Result<(), PipelineError> {
+    write_exr(&input.output, completed)?;
+    write_png(&pictures.environment, completed)?;
+    let mut over_black = rgb.clone();
+    for (pixel, a) in over_black.data.chunks_exact_mut(3).zip(&alpha.data) {
+        pixel.iter_mut().for_each(|v| *v *= a);
+    }
+    write_png(&pictures.sweep, &over_black)?;
+    // Coverage is no light: its code values are stored as they are.
+    write_png(&pictures.alpha, &alpha.map(|a| linear_from_srgb(a.clamp(0.0, 1.0))))?;
+    Ok(())
+}
