@@ -196,7 +196,7 @@ impl SampleSets {
 
 /// Traces the shadow ratio of every receiver.
 ///
-/// Every pixel takes one of [`ROTATIONS`] rotations of the same Hammersley sets, chosen by a stream of `config.seed`,
+/// Every pixel takes one of `ROTATIONS` rotations of the same Hammersley sets, chosen by a stream of `config.seed`,
 /// so the noise is white, the result does not depend on the thread count, and the same seed gives the same picture. Two
 /// exact short cuts keep most pixels from tracing anything: a receiver under whose horizon the whole bounding sphere
 /// lies is 1, and so is one none of whose samples meets the sphere.
