@@ -6,7 +6,8 @@
 //! Arguments and help. Help teaches: every command says what it makes and shows how it is called.
 
 use crate::values::{Pixel, duration, pixel, point, positive, size};
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
+use comgs_pipeline::stages::material::AlbedoEdit;
 use std::path::PathBuf;
 
 const OVERVIEW: &str = "\
@@ -55,6 +56,7 @@ pub(crate) enum Command {
     Light(Light),
     Render(Render),
     Compose(Compose),
+    Material(Material),
     Eval(Eval),
     Synth(Synth),
     Demo(Demo),
@@ -332,11 +334,74 @@ fn rays(text: &str) -> Result<u32, String> {
     }
 }
 
+/// Materials with a name.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Preset {
+    /// Brushed copper: metal, albedo 1.00 0.65 0.53, roughness 0.3
+    Copper,
+    /// Polished silver: metal, albedo 0.99 0.98 0.97, roughness 0.15
+    Silver,
+    /// Grey stone, roughness 0.9, with the light and dark pattern of the object
+    Stone,
+    /// Red paint, albedo 0.60 0.04 0.03, roughness 0.85
+    RedMatte,
+    /// The same paint under a clear coat, roughness 0.12
+    RedGlossy,
+}
+
+fn unit(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (0.0..=1.0).contains(&v) => Ok(v),
+        _ => Err("expected a number from 0 to 1".into()),
+    }
+}
+
+/// Give a decomposed asset another material
+///
+/// Writes a new asset with the albedo, roughness or metallic changed; geometry, probes and light come along. A preset comes
+/// first, single values then replace its own. The captured colours stay: `comgs relight` shows the edit, `comgs render` does
+/// not.
+#[derive(Debug, Args)]
+#[command(
+    group = ArgGroup::new("edit").required(true).multiple(true).args(["albedo", "roughness", "metallic", "preset"]),
+    after_help = "\
+Examples:
+  comgs material cow.asset --preset copper -o copper_cow.asset
+  comgs material cow.asset --preset copper --roughness 0.05 -o mirror_cow.asset
+  comgs material cow.asset --albedo 0.9,0.2,0.2 -o red_cow.asset       one linear colour
+  comgs material cow.asset --albedo 1.2 -o brighter_cow.asset          the old colours times 1.2
+  comgs material cow.asset --roughness 0.1 --metallic 0 -o glazed_cow.asset"
+)]
+pub(crate) struct Material {
+    /// Asset made with `comgs decompose`, or a PLY of surfels with material
+    pub asset: PathBuf,
+
+    /// A linear colour to set (three numbers from 0 to 1), or a factor for the old ones (one number)
+    #[arg(long, value_name = "R,G,B|SCALE")]
+    pub albedo: Option<AlbedoEdit>,
+
+    /// Roughness everywhere: 0 is a mirror, 1 is chalk
+    #[arg(long, value_name = "R", value_parser = unit)]
+    pub roughness: Option<f64>,
+
+    /// Metallic everywhere: 0 or 1, and between for mixtures
+    #[arg(long, value_name = "M", value_parser = unit)]
+    pub metallic: Option<f64>,
+
+    /// A material with a name
+    #[arg(long, value_enum)]
+    pub preset: Option<Preset>,
+
+    /// Folder of the asset to make
+    #[arg(short, long, value_name = "ASSET")]
+    pub output: PathBuf,
+}
+
 /// Score an asset or frames against ground truth
 ///
-/// An asset is rendered at a capture's held-out views and compared with the photos (PSNR, SSIM, FLIP), and with normals
-/// and depths where the capture has them. Frames are compared with pictures of the same names; a composition with mask/
-/// and empty/ is scored by region (object, shadow, elsewhere), beside the empty scene as a baseline.
+/// An asset is rendered at a capture's held-out views and compared with the photos (PSNR, SSIM, FLIP), and with normals,
+/// depths and material where the capture has them. Frames are compared with pictures of the same names; a composition with
+/// mask/ and empty/ is scored by region (object, shadow, elsewhere), beside the empty scene as a baseline.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

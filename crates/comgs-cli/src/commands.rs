@@ -5,7 +5,7 @@ use crate::terminal::Terminal;
 use anyhow::{Context as _, bail};
 use clap::CommandFactory;
 use comgs_inverse::{Kind, Quality};
-use comgs_pipeline::stages::{compose, demo, eval, info, light, place, reconstruct, render, synth};
+use comgs_pipeline::stages::{compose, demo, eval, info, light, material, place, reconstruct, render, synth};
 use comgs_pipeline::{CancelToken, Context};
 use comgs_scene::{CheckDepth, check_with};
 use std::path::Path;
@@ -30,6 +30,18 @@ impl From<args::Quality> for Quality {
     }
 }
 
+impl From<args::Preset> for material::Preset {
+    fn from(preset: args::Preset) -> Self {
+        match preset {
+            args::Preset::Copper => Self::Copper,
+            args::Preset::Silver => Self::Silver,
+            args::Preset::Stone => Self::Stone,
+            args::Preset::RedMatte => Self::RedMatte,
+            args::Preset::RedGlossy => Self::RedGlossy,
+        }
+    }
+}
+
 /// Runs the command that was asked for.
 pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
     let terminal = Terminal::new(cli.quiet);
@@ -41,6 +53,7 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Light(a) => run_light(a, &context)?,
         Command::Render(a) => run_render(a, &context)?,
         Command::Compose(a) => run_compose(a, &context)?,
+        Command::Material(a) => run_material(a, &context)?,
         Command::Eval(a) => run_eval(a, &context)?,
         Command::Synth(a) => run_synth(a, &context)?,
         Command::Demo(a) => run_demo(a, &context)?,
@@ -165,6 +178,18 @@ fn run_compose(a: &args::Compose, context: &Context<'_>) -> anyhow::Result<()> {
     }
     println!("{}", made.frames.display());
     println!("{}", made.report.display());
+    Ok(())
+}
+
+fn run_material(a: &args::Material, context: &Context<'_>) -> anyhow::Result<()> {
+    let input = material::Input { asset: a.asset.clone(), output: a.output.clone() };
+    let config = material::Config {
+        preset: a.preset.map(Into::into),
+        albedo: a.albedo,
+        roughness: a.roughness,
+        metallic: a.metallic,
+    };
+    println!("{}", material::run(&input, &config, context)?.asset.display());
     Ok(())
 }
 

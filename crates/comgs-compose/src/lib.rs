@@ -6,7 +6,9 @@
 //! Eq. 15–17 which [`denoise`] smooths, [`over`]
 //! puts scene and object in order, [`frame`] runs all of it for one camera, and [`layers`] writes the result.
 //!
-//! Nothing here knows the command line; only [`layers`] writes a file.
+//! [`relight`] shows a decomposed object under another light.
+//!
+//! Nothing here knows the command line; only [`layers`] and [`relight::write_relit_layers`] write files.
 
 pub mod denoise;
 pub mod frame;
@@ -15,6 +17,7 @@ pub mod objects;
 pub mod over;
 pub mod placement;
 pub mod receivers;
+pub mod relight;
 pub mod shadow;
 
 pub use denoise::{AtrousConfig, Denoise};
@@ -23,4 +26,7 @@ pub use objects::{PlacedObject, merge};
 pub use over::Ordering;
 pub use placement::{PlacementConfig, PlacementReport, check_placement};
 pub use receivers::Receivers;
+pub use relight::{
+    Heuristic, Indirect, RelightConfig, RelightError, Relighter, RelitFrame, SelfOcclusion,
+};
 pub use shadow::{DARK, LightSample, LightSource, Occluder, ShadowConfig, shadow_ratio};

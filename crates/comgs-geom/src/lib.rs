@@ -9,6 +9,7 @@ pub mod camera;
 pub mod equirect;
 pub mod frame;
 pub mod lens;
+pub mod octahedral;
 pub mod random;
 pub mod sampling;
 pub mod sh;

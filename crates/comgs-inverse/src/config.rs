@@ -42,6 +42,24 @@ pub struct TrainConfig {
     pub ssim_weight: f32,
     /// Weight of depth-normal consistency (Eq. 3; paper: 0.05).
     pub depth_normal_weight: f32,
+    /// Weight of the bend of the blended normals ([`crate::normal_prior::normal_bend`]).
+    pub normal_bend_weight: f32,
+    /// x
+    pub normal_bend_scale: f32,
+    /// x
+    pub normal_bend_strides: [usize; 2],
+    /// x
+    pub normal_bend_start: f32,
+    /// x
+    pub depth_normal_start: f32,
+    /// x
+    pub coded: bool,
+    /// x
+    pub sh_pace: f32,
+    /// x
+    pub sh_ratio: f32,
+    /// x
+    pub late: f32,
     /// Weight of the mask cross-entropy (Eq. 4; paper: 0.05).
     pub mask_weight: f32,
     /// Steps between rounds of growth and pruning.
@@ -85,7 +103,19 @@ impl TrainConfig {
             initial_surfels: max_surfels * 6 / 10,
             sh_degree,
             ssim_weight: 0.2,
-            depth_normal_weight: 0.05,
+            depth_normal_weight: match kind {
+                Kind::Object => 0.3,
+                Kind::Scene => 0.05,
+            },
+            normal_bend_weight: 0.0,
+            normal_bend_scale: 0.1,
+            normal_bend_strides: [2, 5],
+            normal_bend_start: 0.1,
+            depth_normal_start: 0.1,
+            coded: false,
+            sh_pace: 5.0,
+            sh_ratio: 0.1,
+            late: 0.2,
             mask_weight: 0.05,
             density_interval: (iterations / 24).max(50),
             resolution_steps: [0.12, 0.35],

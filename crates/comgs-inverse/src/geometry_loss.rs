@@ -8,15 +8,16 @@ use rayon::prelude::*;
 
 /// Weights below this are too thin to have a depth.
 const MIN_WEIGHT: f32 = 0.3;
-/// Neighbours whose depths differ by more than this fraction lie on different surfaces: no normal across the jump.
-const MAX_JUMP: f32 = 0.1;
+/// Neighbours whose depths differ by more than this many times the width of a pixel there lie on different surfaces: no
+/// normal across the jump (8: a surface tilted by 83°).
+const MAX_SLOPE: f32 = 8.0;
 
 /// Mean over all pixels of `W · (1 − N̂ · N_d)`, the gradients of which are added to the premultiplied normal and depth
 /// planes and the weight plane.
 ///
 /// N_d is the normal of the surface through the unbiased depths D/W of the four neighbours, facing the camera; N̂ = N/W is
 /// the blended normal. Pixels at the image's border, where a neighbour's weight is below 0.3, or across a depth jump of
-/// more than a tenth have no normal from depth and do not count. The factor W in front is taken as a constant (as in
+/// more than eight times a pixel's width have no normal from depth and do not count. The factor W in front is taken as a constant (as in
 /// 2DGS), so that the term cannot be lowered by fading the surface out. Scale-free: the same scene ×1000 gives the same
 /// value.
 ///
@@ -46,6 +47,7 @@ pub fn depth_normal(
         .collect();
     let ray = |x: usize, y: usize| Vec3::new((x as f32 + 0.5 - cx) / fx, (y as f32 + 0.5 - cy) / fy, 1.0);
     let scale = weight / (width * height) as f32;
+    let max_jump = MAX_SLOPE / fx.min(fy);
 
     // Per pixel: the gradient with respect to the four neighbours' unbiased depths (left, right, up, down).
     let mut to_neighbours = vec![[0.0f32; 4]; width * height];
@@ -62,7 +64,7 @@ pub fn depth_normal(
                 let i = y * width + x;
                 let here = unbiased[i];
                 let z = [unbiased[i - 1], unbiased[i + 1], unbiased[i - width], unbiased[i + width]];
-                if here <= 0.0 || z.iter().any(|z| *z <= 0.0 || (z - here).abs() > MAX_JUMP * here) {
+                if here <= 0.0 || z.iter().any(|z| *z <= 0.0 || (z - here).abs() > max_jump * here) {
                     continue;
                 }
                 let rays = [ray(x - 1, y), ray(x + 1, y), ray(x, y - 1), ray(x, y + 1)];

@@ -9,12 +9,15 @@
 
 pub mod checkpoint;
 pub mod config;
+pub mod decompose;
 pub mod density;
 pub mod geometry_loss;
 pub mod init;
+pub mod normal_prior;
 pub mod train;
 pub mod view;
 
 pub use config::{Kind, Quality, TrainConfig};
+pub use decompose::{AlbedoScale, DecomposeConfig, DecomposeReport, Decomposed, Visibility, decompose};
 pub use train::{Observer, TrainError, TrainReport, TrainStatus, Trained, train};
 pub use view::TrainView;

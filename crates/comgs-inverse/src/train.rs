@@ -5,12 +5,13 @@ use crate::config::{Kind, TrainConfig};
 use crate::density::{self, DensityConfig, Evidence};
 use crate::geometry_loss::{depth_normal, mask_cross_entropy};
 use crate::init::sweep::{SweepConfig, plane_sweep};
+use crate::normal_prior::normal_bend;
 use crate::init::{self, SurfacePoint, background, hull};
 use crate::view::{LevelView, Rig, TrainView};
 use comgs_geom::{Rng, sh};
 use comgs_image::Image;
 use comgs_optim::{Adam, AdamConfig, Photometric, schedule};
-use comgs_raster::{FrameGradient, Planes, RasterConfig, SurfelGradients, Workspace, backward, forward};
+use comgs_raster::{FrameGradient, Planes, RasterConfig, SurfelGradients, Workspace, backward, forward, render};
 use comgs_surfel::{ColorEncoding, SurfelCloud};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -106,6 +107,9 @@ pub enum TrainError {
     /// A checkpoint that cannot be continued.
     #[error("cannot resume from the checkpoint: {0}")]
     Checkpoint(String),
+    /// Probes cannot be placed on the object.
+    #[error("probes: {0}")]
+    Probes(String),
     /// Nothing is left to train.
     #[error("no surfel survived: the views do not agree on any surface")]
     Vanished,
@@ -241,9 +245,12 @@ pub fn train(
             observer.checkpoint(checkpoint::to_bytes(&state, config, &identity));
             return Err(TrainError::Cancelled(state.iteration));
         }
-        let rendering = trainer.step(&mut state, progress)?;
+        let index = trainer.step(&mut state, progress)?;
         if progress >= next_preview {
-            observer.preview(&rendering.0, &rendering.1);
+            let camera = &views[index].camera;
+            let small = camera.resized((camera.width / trainer.level).max(1), (camera.height / trainer.level).max(1));
+            let frame = render(&state.cloud, &small, Planes::COLOR, &raster);
+            observer.preview(&camera.name, &frame.color.expect("colour plane"));
             next_preview = progress + 0.05;
         }
         if last_report.elapsed().as_secs_f64() > 0.2 {
@@ -400,11 +407,9 @@ fn thin_to(points: &mut Vec<SurfacePoint>, count: usize) {
     points.iter_mut().for_each(|p| p.spacing *= widen);
 }
 
-/// Fraction of the training after which depth-normal consistency acts: before, depths are still moving.
-const DEPTH_NORMAL_START: f32 = 0.1;
-
 struct Trainer<'a> {
     views: &'a [TrainView],
+    cropped: Vec<TrainView>,
     config: &'a TrainConfig,
     rig: Rig,
     raster: RasterConfig,
@@ -420,6 +425,14 @@ impl<'a> Trainer<'a> {
     fn new(views: &'a [TrainView], config: &'a TrainConfig, rig: &Rig, raster: RasterConfig) -> Self {
         Self {
             views,
+            cropped: views
+                .par_iter()
+                .map(|v| {
+                    let mut v = v.cropped();
+                    v.hdr &= !config.coded;
+                    v
+                })
+                .collect(),
             config,
             rig: *rig,
             raster,
@@ -478,16 +491,16 @@ impl<'a> Trainer<'a> {
         }
         self.level = level;
         self.level_views = self
-            .views
+            .cropped
             .par_iter()
             .map(|v| v.level((v.camera.width / level).max(1), (v.camera.height / level).max(1)))
             .collect();
     }
 
-    fn step(&mut self, state: &mut State, progress: f32) -> Result<(String, Image), TrainError> {
+    fn step(&mut self, state: &mut State, progress: f32) -> Result<usize, TrainError> {
         let step_start = Instant::now();
         self.set_level(self.wanted_level(progress));
-        let wanted_degree = ((progress * 5.0) as usize).min(self.config.sh_degree);
+        let wanted_degree = ((progress * self.config.sh_pace) as usize).min(self.config.sh_degree);
         if state.cloud.sh_degree < wanted_degree {
             raise_degree(state);
         }
@@ -500,7 +513,7 @@ impl<'a> Trainer<'a> {
         let camera = &view.camera;
         let (width, height) = (camera.width, camera.height);
 
-        let geometric = self.config.depth_normal_weight > 0.0 && progress >= DEPTH_NORMAL_START;
+        let geometric = self.config.depth_normal_weight > 0.0 && progress >= self.config.depth_normal_start;
         let planes = if geometric { Planes::GEOMETRY } else { Planes::COLOR };
         let frame = forward(&state.cloud, camera, planes, &self.raster, &mut self.workspace);
         let zero = |c| Image::zeros(width, height, c);
@@ -516,13 +529,14 @@ impl<'a> Trainer<'a> {
         let (mut normal, mut depth) = (None, None);
         if geometric {
             let (mut n, mut d) = (zero(3), zero(1));
-            // An object fills a part of the frame; its share of the mean is what the weight is meant for.
-            let share = view
-                .mask
-                .as_ref()
-                .map_or(1.0, |m| (m.data.iter().sum::<f32>() / m.data.len() as f32).clamp(0.02, 1.0));
-            let term = self.config.depth_normal_weight / share;
-            depth_normal(&frame, camera, term, &mut n, &mut d, &mut weight);
+            let c = self.config;
+            depth_normal(&frame, camera, c.depth_normal_weight, &mut n, &mut d, &mut weight);
+            if progress >= c.normal_bend_start {
+                for k in c.normal_bend_strides {
+                    let w = c.normal_bend_weight;
+                    normal_bend(&frame, camera, w, k, c.normal_bend_scale, &mut n, &mut weight);
+                }
+            }
             (normal, depth) = (Some(n), Some(d));
         }
         if let Some(mask) = &view.mask {
@@ -561,8 +575,7 @@ impl<'a> Trainer<'a> {
             self.steps_at_full.0 += 1;
             self.steps_at_full.1 += step_start.elapsed().as_secs_f64();
         }
-        let name = camera.name.clone();
-        Ok((name, frame.color.expect("colour plane")))
+        Ok(index)
     }
 
     fn apply(&self, state: &mut State, progress: f32) {
@@ -574,8 +587,8 @@ impl<'a> Trainer<'a> {
         let start = c.position_rate * self.rig.distance as f32;
         let position_rate = schedule::log_linear(start, 0.01 * start, progress);
         // Everything else ends at a fifth of its rate: the last steps average instead of jumping.
-        let late = schedule::log_linear(1.0, 0.2, progress);
-        let mut sh_rates = vec![c.color_rate * late / 10.0; cloud.sh_stride()];
+        let late = schedule::log_linear(1.0, c.late, progress);
+        let mut sh_rates = vec![c.color_rate * late * c.sh_ratio; cloud.sh_stride()];
         sh_rates[..3].fill(c.color_rate * late);
         let [positions, rotations, scales, opacities, harmonics] = &mut state.adam;
         let dropped =

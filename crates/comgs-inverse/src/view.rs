@@ -42,6 +42,54 @@ impl TrainView {
         }
     }
 
+    /// The part of the photo that training looks at: the box around the mask with a margin of a 25th of the larger side
+    /// (at least 12 pixels), grown to multiples of 4 so that the levels divide it. Everything outside is black and
+    /// outside the mask. The whole photo when there is no mask, or nothing in it.
+    pub(crate) fn cropped(&self) -> Self {
+        let Some(mask) = &self.mask else { return self.clone() };
+        let (width, height) = (mask.width, mask.height);
+        let (mut low, mut high) = ([width, height], [0, 0]);
+        for (i, _) in mask.data.iter().enumerate().filter(|(_, m)| **m > 0.0) {
+            let at = [i % width, i / width];
+            for k in 0..2 {
+                low[k] = low[k].min(at[k]);
+                high[k] = high[k].max(at[k] + 1);
+            }
+        }
+        if high[0] == 0 {
+            return self.clone();
+        }
+        let margin = (width.max(height) / 25).max(12);
+        let size = [width, height];
+        for k in 0..2 {
+            low[k] = low[k].saturating_sub(margin) / 4 * 4;
+            high[k] = ((high[k] + margin).div_ceil(4) * 4).min(size[k]);
+        }
+        let [columns, rows] = [high[0] - low[0], high[1] - low[1]];
+        let cut = |image: &Image| {
+            let c = image.channels;
+            let mut data = Vec::with_capacity(columns * rows * c);
+            for y in low[1]..high[1] {
+                let start = (y * width + low[0]) * c;
+                data.extend_from_slice(&image.data[start..start + columns * c]);
+            }
+            Image::from_data(columns, rows, c, data)
+        };
+        Self {
+            camera: Camera {
+                width: columns,
+                height: rows,
+                cx: self.camera.cx - low[0] as f64,
+                cy: self.camera.cy - low[1] as f64,
+                ..self.camera.clone()
+            },
+            color: cut(&self.color),
+            mask: Some(cut(mask)),
+            valid: self.valid.as_ref().map(cut),
+            hdr: self.hdr,
+        }
+    }
+
     /// Colour over black.
     pub(crate) fn premultiplied(&self) -> Image {
         let mut color = self.color.clone();

@@ -1,4 +1,12 @@
-//! Light from everywhere: equirectangular environment maps of linear radiance, and importance sampling of them.
+//! Light from everywhere, and what surfaces make of it.
+//!
+//! * [`EnvironmentMap`], [`EnvironmentSampler`]: equirectangular maps of linear radiance, and importance sampling of them.
+//! * [`OctahedralLight`], [`OctahedralSampler`]: a learnable octahedral map with gradients, and its sampling;
+//!   [`LightPyramid`] is the parameterisation that is optimised.
+//! * [`brdf`]: the reflectance model, its sampling and its gradients.
+//!
+//! Two maps, two meanings of their texels. An octahedral light is bilinear for every purpose, and its sampler follows
+//! the interpolation. An equirectangular map is for looking at and for sampling:
 //!
 //! For every integral (sampling, [`EnvironmentMap::irradiance`], [`EnvironmentMap::integral`]) a map is piecewise
 //! constant: the radiance from a direction is its texel's value ([`EnvironmentMap::radiance`]). The smooth, bilinear
@@ -6,10 +14,19 @@
 //! half its radiance into neighbours that a sampler of texels visits a hundred million times less often, and each
 //! such visit is a firefly.
 
+pub mod brdf;
+mod cumulative;
 pub mod environment;
+pub mod light_pyramid;
+pub mod octahedral_light;
+pub mod octahedral_sampler;
 pub mod sampler;
 
+pub use brdf::{Material, MaterialGradient, Shading};
 pub use environment::{EnvError, EnvReport, EnvironmentMap};
+pub use light_pyramid::LightPyramid;
+pub use octahedral_light::{OctahedralError, OctahedralLight};
+pub use octahedral_sampler::{Importance, OctahedralSampler};
 pub use sampler::{EnvSample, EnvironmentSampler};
 
 /// Luminance of linear Rec.709 radiance.

@@ -15,6 +15,7 @@
 //! | would a viewer see the difference | [`flip::flip`] |
 //! | all three, for parts of a composed frame | [`regions::score_regions`] |
 //! | is the surface right | [`normal_error`], [`depth_error`], [`unbiased_depth_error`] |
+//! | is the material right | [`material_error`] after [`align_scale`], [`plane_error`], [`unbiased_plane_error`] |
 //! | is the light right | [`si_rmse`], [`normalized_rmse`], [`angular_rgb_error`] |
 //! | is the silhouette right | [`coverage_iou`] |
 
@@ -25,6 +26,7 @@ pub mod error;
 pub mod flip;
 pub mod geometry;
 pub mod light;
+pub mod material;
 pub mod psnr;
 pub mod regions;
 pub mod ssim;
@@ -34,6 +36,10 @@ pub use error::MetricError;
 pub use flip::{FlipConfig, flip};
 pub use geometry::{DepthError, NormalError, depth_error, normal_error, unbiased_depth_error};
 pub use light::{AngularRgbError, PixelWeights, angular_rgb_error, normalized_rmse, rmse, si_rmse};
+pub use material::{
+    AlbedoPsnr, MaterialError, PlaneError, ScaleFit, align_scale, material_error, plane_error,
+    unbiased_plane_error,
+};
 pub use psnr::{Psnr, composite_over, psnr_linear, psnr_linear_clipped, psnr_srgb};
 pub use regions::{RegionScores, Regions, Scores, ShadowRule, score, score_regions};
 pub use ssim::{Border, Ssim, SsimMap, ssim, ssim_map};

@@ -21,11 +21,13 @@
 
 pub mod error;
 pub mod fingerprint;
+pub mod plot;
 pub mod progress;
 pub mod record;
 pub mod report;
 pub mod source;
 pub mod stages;
+pub mod tradeoff;
 
 pub use error::PipelineError;
 pub use fingerprint::Fingerprint;

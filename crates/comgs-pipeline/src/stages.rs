@@ -5,6 +5,7 @@ pub mod demo;
 pub mod eval;
 pub mod info;
 pub mod light;
+pub mod material;
 pub mod place;
 pub mod reconstruct;
 pub mod render;

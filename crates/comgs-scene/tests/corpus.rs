@@ -102,6 +102,9 @@ fn the_corpus_is_what_it_says() {
             "three_dgs_degree3" => Some(PlyDialect::ThreeDgs),
             "two_dgs_degree0_ascii" | "not_finite_ascii" => Some(PlyDialect::TwoDgs),
             "published_big_endian" => Some(PlyDialect::ComgsPublished),
+            "r3dg_with_light" => Some(PlyDialect::R3dg),
+            "irgs_degree1_ascii" => Some(PlyDialect::Irgs),
+            "gs_ir_big_endian" => Some(PlyDialect::GsIr),
             _ => None,
         };
         assert_eq!(dialect, expected, "{name}");

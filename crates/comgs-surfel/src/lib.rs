@@ -6,4 +6,4 @@ pub mod cloud;
 pub mod ply;
 
 pub use cloud::{ColorEncoding, MaterialColumns, SurfelCloud};
-pub use ply::{PlyDialect, PlyError, PlyReport, PlyStyle, PointCloud};
+pub use ply::{PlyDialect, PlyError, PlyMaterial, PlyReport, PlyStyle, PointCloud};

@@ -1,4 +1,4 @@
-//! PLY in and out: surfel clouds (our own, ComGS, 2DGS, 3DGS) and plain point clouds.
+//! PLY in and out: surfel clouds (our own, ComGS, 2DGS, 3DGS, R3DG, IRGS, GS-IR) and plain point clouds.
 //!
 //! Columns follow the 3DGS family: `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0 scale_1 rot_0..3
 //! [albedo_0..2 metallic roughness]` with log scale, logit opacity, quaternions w x y z, `f_rest` channel-major
@@ -9,15 +9,16 @@
 //! far as the file is long enough to hold them.
 
 mod body;
+mod dialect;
 mod header;
 mod points;
 mod surfels;
 
+pub use dialect::{PlyDialect, PlyMaterial};
 pub use header::{Element, Header, Layout, Property, Scalar};
 pub use points::{PointCloud, parse_points, read_points, write_points};
 pub use surfels::{
-    PlyDialect, PlyReport, PlyStyle, VIEWER_THICKNESS, parse_surfels, read_surfels, write_surfels,
-    write_surfels_to,
+    PlyReport, PlyStyle, VIEWER_THICKNESS, parse_surfels, read_surfels, write_surfels, write_surfels_to,
 };
 
 use std::io::BufRead;
@@ -69,6 +70,20 @@ pub enum PlyError {
         expected: &'static str,
         /// The columns without which it cannot be had.
         missing: Vec<String>,
+    },
+    /// Surfels with material columns that belong to no known dialect, so that nobody knows what they mean.
+    #[error(
+        "the material columns {} are of no known dialect ({reason}); known are {}; without these columns the file opens as \
+         plain splats: {}",
+        columns.join(" "), dialect::KNOWN_MATERIAL, path.display()
+    )]
+    Material {
+        /// The file.
+        path: PathBuf,
+        /// Its material columns.
+        columns: Vec<String>,
+        /// What is wrong with them.
+        reason: String,
     },
     /// The file could not be written; what was there before is unchanged.
     #[error("cannot write ({reason}): {}", path.display())]

@@ -5,7 +5,7 @@ use crate::source::extension;
 use crate::{PipelineError, record::read_record};
 use comgs_image::Encoding;
 use comgs_scene::{Asset, CompositionRecord, TransformFile, check};
-use comgs_surfel::{SurfelCloud, activation::sigmoid, ply};
+use comgs_surfel::{MaterialColumns, SurfelCloud, activation::sigmoid, ply};
 use std::path::Path;
 
 /// Facts about a file or folder.
@@ -81,7 +81,7 @@ fn asset(path: &Path) -> Result<Info, PipelineError> {
         .and_then(|v| v.as_str().map(str::to_owned))
         .unwrap_or_default();
     let mut info = Info::new(format!("asset ({kind}): {}", path.display()));
-    cloud_facts(&mut info, &asset.surfels);
+    cloud_facts(&mut info, &asset.surfels, "surfels");
     info.fact("up", format!("{:.3?}", record.up));
     if let Some(capture) = &record.capture {
         let [w, h] = capture.image_size;
@@ -116,11 +116,14 @@ fn asset(path: &Path) -> Result<Info, PipelineError> {
     Ok(info)
 }
 
-fn cloud_facts(info: &mut Info, cloud: &SurfelCloud) {
-    info.fact("surfels", cloud.len().to_string());
+fn cloud_facts(info: &mut Info, cloud: &SurfelCloud, count: &str) {
+    info.fact(count, cloud.len().to_string());
     info.fact("harmonics", format!("degree {}", cloud.sh_degree));
     info.fact("colour", format!("{:?} sums", cloud.color_encoding));
     info.fact("material", if cloud.material.is_some() { "albedo, roughness, metallic" } else { "none" });
+    if let Some(material) = &cloud.material {
+        material_facts(info, material);
+    }
     if let Some((low, high)) = cloud.bounds() {
         info.fact("bounds", format!("{low:.3} to {high:.3}"));
     }
@@ -133,10 +136,31 @@ fn cloud_facts(info: &mut Info, cloud: &SurfelCloud) {
     info.fact("median", format!("larger scale {:.5}, opacity {:.3}", median(scales), median(opacities)));
 }
 
+/// Ranges and means after activation.
+fn material_facts(info: &mut Info, material: &MaterialColumns) {
+    let range = |logits: &mut dyn Iterator<Item = f32>| {
+        let (mut low, mut high, mut sum, mut n) = (f64::INFINITY, f64::NEG_INFINITY, 0.0, 0usize);
+        for value in logits.map(|x| f64::from(sigmoid(x))) {
+            (low, high, sum, n) = (low.min(value), high.max(value), sum + value, n + 1);
+        }
+        (n > 0).then(|| format!("{low:.3} to {high:.3}, mean {:.3}", sum / n as f64))
+    };
+    let mut fact = |name: &str, logits: &mut dyn Iterator<Item = f32>| {
+        if let Some(text) = range(logits) {
+            info.fact(name, text);
+        }
+    };
+    for (c, name) in ["albedo red", "albedo green", "albedo blue"].into_iter().enumerate() {
+        fact(name, &mut material.albedo_logits.iter().map(|a| a[c]));
+    }
+    fact("roughness", &mut material.roughness_logits.iter().copied());
+    fact("metallic", &mut material.metallic_logits.iter().copied());
+}
+
 fn ply_file(path: &Path) -> Result<Info, PipelineError> {
     let scene = |e: comgs_surfel::PlyError| comgs_scene::SceneError::from(e);
     let header = ply::read_header(path).map_err(scene)?;
-    if ply::PlyDialect::of(&header).is_none() {
+    if ply::PlyDialect::of(&header).is_none_or(|dialect| dialect == ply::PlyDialect::Points) {
         let mut info = Info::new(format!("PLY: {}", path.display()));
         info.fact("layout", format!("{:?}", header.layout));
         for element in &header.elements {
@@ -146,8 +170,16 @@ fn ply_file(path: &Path) -> Result<Info, PipelineError> {
         return Ok(info);
     }
     let (cloud, report) = ply::read_surfels(path).map_err(scene)?;
-    let mut info = Info::new(format!("PLY of surfels ({}): {}", report.dialect.name(), path.display()));
-    cloud_facts(&mut info, &cloud);
+    let three = report.dialect.has_three_scales();
+    let what = if three { "Gaussians" } else { "surfels" };
+    let mut info = Info::new(format!("PLY of {what} ({}): {}", report.dialect.name(), path.display()));
+    cloud_facts(&mut info, &cloud, if three { "gaussians" } else { "surfels" });
+    if let Some(material) = &report.material {
+        info.fact("material columns", material.describe());
+        for sentence in &material.assumed {
+            info.fact("assumed", sentence);
+        }
+    }
     info.fact("layout", format!("{:?}", report.layout));
     info.fact("columns", report.columns.join(" "));
     info.problems.extend(report.missing);

@@ -1,7 +1,9 @@
 //! Surfel clouds in PLY files.
 
 use super::body::{checked_count, for_each_vertex};
-use super::{Element, Header, Layout, PlyError, Source, with_file};
+use super::dialect::{self, ENCODING_COMMENT, MATERIAL, REQUIRED};
+use super::{Element, Header, Layout, PlyDialect, PlyError, PlyMaterial, Source, with_file};
+use crate::activation::{ScaledSigmoid, logit};
 use crate::{ColorEncoding, MaterialColumns, SurfelCloud};
 use comgs_geom::sh;
 use comgs_image::atomic;
@@ -14,67 +16,6 @@ use std::path::Path;
 /// conditioned in f32.
 pub const VIEWER_THICKNESS: f32 = 1e-3;
 
-/// Header comment that marks a file of ours and says what the harmonic sum means.
-const ENCODING_COMMENT: &str = "comgs color_encoding";
-
-/// Columns without which there are no surfels.
-const REQUIRED: [&str; 13] = [
-    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "rot_0", "rot_1", "rot_2",
-    "rot_3",
-];
-/// Material columns; all or none are used.
-const MATERIAL: [&str; 5] = ["albedo_0", "albedo_1", "albedo_2", "metallic", "roughness"];
-
-/// Whose PLY it is, told by comments and columns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PlyDialect {
-    /// Written by this program (`comment comgs color_encoding …`).
-    Comgs,
-    /// Two scales and material columns: a decomposed asset of the ComGS paper's layout.
-    ComgsPublished,
-    /// Two scales: 2D Gaussian splatting.
-    TwoDgs,
-    /// Three scales: 3D Gaussian splatting. Read as surfels across the axis of the smallest scale.
-    ThreeDgs,
-    /// Positions without Gaussian parameters.
-    Points,
-}
-
-impl PlyDialect {
-    /// What a header describes; `None` when its vertices have no position.
-    #[must_use]
-    pub fn of(header: &Header) -> Option<Self> {
-        let vertex = header.vertex()?;
-        let has = |name: &&str| vertex.position(name).is_some();
-        if !["x", "y", "z"].iter().all(has) {
-            return None;
-        }
-        Some(if !REQUIRED.iter().all(has) {
-            Self::Points
-        } else if header.comments.iter().any(|c| c.starts_with(ENCODING_COMMENT)) {
-            Self::Comgs
-        } else if has(&"scale_2") {
-            Self::ThreeDgs
-        } else if MATERIAL.iter().any(has) {
-            Self::ComgsPublished
-        } else {
-            Self::TwoDgs
-        })
-    }
-
-    /// Name for people.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Comgs => "comgs",
-            Self::ComgsPublished => "ComGS",
-            Self::TwoDgs => "2DGS",
-            Self::ThreeDgs => "3DGS",
-            Self::Points => "point cloud",
-        }
-    }
-}
-
 /// What a surfel PLY held and what it did not.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlyReport {
@@ -84,6 +25,8 @@ pub struct PlyReport {
     pub layout: Layout,
     /// Its vertex columns, in file order.
     pub columns: Vec<String>,
+    /// Its material columns and what they meant; the cloud has them as logits.
+    pub material: Option<PlyMaterial>,
     /// What a complete file has and this one lacks, or what had to be given up; one sentence each.
     pub missing: Vec<String>,
     /// Surfels that were read and kept.
@@ -99,11 +42,15 @@ pub struct PlyReport {
 /// * No `comgs color_encoding` comment: the harmonics are sRGB code values, as published splats store them.
 /// * Three scales: the surfel's normal is the axis of the smallest scale, which is then dropped (except in our own
 ///   viewer exports, whose third scale is known to be the normal's).
+/// * Material of another dialect is activated as that dialect does it and kept as the logit of the value, clamped to
+///   ±[`crate::activation::MAX_LOGIT`] ([`ScaledSigmoid::to_logit`]); our own is kept bit for bit. A file without
+///   metallic gets metallic 0, and the report says so.
 /// * A surfel with a non-finite parameter is dropped and counted.
 ///
 /// # Errors
-/// [`PlyError`]; [`PlyError::Columns`] lists every column that surfels need and the file lacks. Memory stays in
-/// proportion to the file's length whatever its header says.
+/// [`PlyError`]; [`PlyError::Columns`] lists every column that surfels need and the file lacks, and
+/// [`PlyError::Material`] the material columns that no known dialect has together. Memory stays in proportion to the
+/// file's length whatever its header says.
 pub fn read_surfels(path: &Path) -> Result<(SurfelCloud, PlyReport), PlyError> {
     with_file(path, read_source)
 }
@@ -125,9 +72,13 @@ fn read_source<R: BufRead>(source: &mut Source<'_, R>) -> Result<(SurfelCloud, P
     if !absent.is_empty() {
         return Err(PlyError::Columns { path: source.path.to_owned(), expected: "surfels", missing: absent });
     }
-    let dialect = PlyDialect::of(&header).unwrap_or(PlyDialect::TwoDgs);
+    let (dialect, material) = dialect::recognise(&header, vertex).map_err(|unknown| PlyError::Material {
+        path: source.path.to_owned(),
+        columns: unknown.columns,
+        reason: unknown.reason,
+    })?;
     let mut missing = Vec::new();
-    let columns = Columns::find(vertex, dialect, source.path, &mut missing)?;
+    let columns = Columns::find(vertex, dialect, material.as_ref(), source.path, &mut missing)?;
     let color_encoding = color_encoding(&header, source.path)?;
     let count = checked_count(&header, source)?;
 
@@ -137,10 +88,10 @@ fn read_source<R: BufRead>(source: &mut Source<'_, R>) -> Result<(SurfelCloud, P
     cloud.log_scales.reserve_exact(count);
     cloud.opacity_logits.reserve_exact(count);
     cloud.sh.reserve_exact(count * cloud.sh_stride());
-    cloud.material = columns.material.map(|_| MaterialColumns::default());
+    cloud.material = columns.material.as_ref().map(|_| MaterialColumns::default());
     let mut dropped = 0;
     for_each_vertex(&header, source, |row| dropped += usize::from(!columns.push(row, &mut cloud)))?;
-    if dialect == PlyDialect::ThreeDgs {
+    if dialect.has_three_scales() {
         missing.push(
             "the third scale was dropped: every Gaussian became a disc across its thinnest axis".into(),
         );
@@ -149,6 +100,7 @@ fn read_source<R: BufRead>(source: &mut Source<'_, R>) -> Result<(SurfelCloud, P
         dialect,
         layout: header.layout,
         columns: vertex.properties.iter().map(|p| p.name.clone()).collect(),
+        material,
         missing,
         count: cloud.len(),
         dropped,
@@ -178,13 +130,52 @@ struct Columns {
     /// `[coefficient][rgb]`, without the constant term.
     rest: Vec<usize>,
     sh_degree: usize,
-    material: Option<[usize; 5]>,
+    material: Option<MaterialAt>,
+}
+
+/// Where material stands in a row, and how it becomes logits.
+struct MaterialAt {
+    base: [usize; 3],
+    metallic: Option<usize>,
+    roughness: usize,
+    /// Activations of base colour, metallic and roughness; `None` keeps the raw numbers, which are ours.
+    activations: Option<[ScaledSigmoid; 3]>,
+}
+
+impl MaterialAt {
+    fn find(vertex: &Element, material: &PlyMaterial, dialect: PlyDialect) -> Self {
+        let at = |name: &str| vertex.position(name).unwrap_or_default();
+        let [r, g, b] = [0, 1, 2].map(|c| at(&format!("{}_{c}", material.base)));
+        let metallic = material.metallic_activation.unwrap_or(ScaledSigmoid::PLAIN);
+        Self {
+            base: [r, g, b],
+            metallic: vertex.position("metallic"),
+            roughness: at("roughness"),
+            activations: (dialect != PlyDialect::Comgs).then_some([
+                material.base_activation,
+                metallic,
+                material.roughness_activation,
+            ]),
+        }
+    }
+
+    /// Logits of albedo, metallic and roughness; NaN where the row has it.
+    fn logits(&self, row: &[f64]) -> [f32; 5] {
+        let raw = |at: usize, k: usize| {
+            let x = row[at] as f32;
+            self.activations.map_or(x, |activations| activations[k].to_logit(x))
+        };
+        let [r, g, b] = self.base.map(|at| raw(at, 0));
+        let metallic = self.metallic.map_or_else(|| logit(0.0), |at| raw(at, 1));
+        [r, g, b, metallic, raw(self.roughness, 2)]
+    }
 }
 
 impl Columns {
     fn find(
         vertex: &Element,
         dialect: PlyDialect,
+        material: Option<&PlyMaterial>,
         path: &Path,
         missing: &mut Vec<String>,
     ) -> Result<Self, PlyError> {
@@ -210,14 +201,19 @@ impl Columns {
                 );
             }
         }
-        let found = MATERIAL.map(|name| vertex.position(name));
-        let material = found.iter().all(Option::is_some).then(|| found.map(Option::unwrap_or_default));
-        if material.is_none() {
-            let absent: Vec<&str> =
-                MATERIAL.iter().zip(found).filter(|(_, at)| at.is_none()).map(|(&name, _)| name).collect();
-            missing.push(format!("{}: no material", absent.join(" ")));
+        match material {
+            None => missing.push(format!("{}: no material", MATERIAL.join(" "))),
+            Some(m) if m.metallic_activation.is_none() => {
+                missing.push("metallic: taken as 0 everywhere".into());
+            }
+            Some(_) => {}
         }
-        let third_scale = vertex.position("scale_2").filter(|_| dialect == PlyDialect::ThreeDgs);
+        let light = dialect::light_columns(vertex);
+        if light > 0 {
+            missing.push(format!("{light} columns of incident light and visibility are not read"));
+        }
+        let material = material.map(|m| MaterialAt::find(vertex, m, dialect));
+        let third_scale = vertex.position("scale_2").filter(|_| dialect.has_three_scales());
         let required = REQUIRED.map(|name| vertex.position(name).unwrap_or_default());
         Ok(Self { required, third_scale, rest, sh_degree, material })
     }
@@ -233,7 +229,7 @@ impl Columns {
         if let Some(third) = self.third_scale {
             (scales, rotation) = flatten([scales[0], scales[1], row[third] as f32], rotation);
         }
-        let material = self.material.map(|m| m.map(|i| row[i] as f32));
+        let material = self.material.as_ref().map(|m| m.logits(row));
         // An infinite log scale or logit still has a meaning (0, 1, a point); NaN has none.
         let finite = position.iter().chain(&constant).chain(&rotation).all(|v| v.is_finite())
             && self.rest.iter().all(|&i| (row[i] as f32).is_finite())

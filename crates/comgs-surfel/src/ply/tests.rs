@@ -5,6 +5,8 @@ use crate::{ColorEncoding, MaterialColumns, SurfelCloud};
 use comgs_geom::Rng;
 use glam::Vec3;
 
+mod material;
+
 fn random_cloud(n: usize, degree: usize, material: bool) -> SurfelCloud {
     let mut rng = Rng::new(7);
     let mut cloud = SurfelCloud::empty(degree, ColorEncoding::Srgb);

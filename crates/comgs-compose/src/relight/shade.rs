@@ -1,0 +1,126 @@
+//! The estimator: light that leaves a point towards the eye, and light that falls on a surfel.
+
+use super::surroundings::Around;
+use super::{Heuristic, Point, RelightConfig};
+use comgs_geom::frame::world_from_tangent;
+use comgs_geom::sampling::{cosine_hemisphere, cosine_hemisphere_pdf, hammersley};
+use comgs_geom::Rng;
+use comgs_light::{EnvironmentSampler, Shading};
+use glam::{Vec2, Vec3};
+
+/// Radiance that leaves a point towards the eye, by its way. [`Lit::total`] is L_o of ComGS Eq. 6.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Lit {
+    /// Of the light, by the matte term.
+    pub diffuse: Vec3,
+    /// Of the light, by the highlight.
+    pub specular: Vec3,
+    /// Of the object itself, by both.
+    pub indirect: Vec3,
+}
+
+impl Lit {
+    /// L_o.
+    #[must_use]
+    pub fn total(&self) -> Vec3 {
+        self.diffuse + self.specular + self.indirect
+    }
+}
+
+/// Where random streams begin that are no pixel's.
+pub(super) const OTHER_STREAMS: u64 = 1 << 40;
+
+/// ∫ f ((1 − O) L + L_in) cos θ dω by multiple importance sampling; `around` is at the point.
+///
+/// A sample drawn by the light (`n` of density p) or by the BRDF (`m` of density q) adds `w f L_i cos θ / (n p)` or
+/// `w f L_i cos θ / (m q)`, with the weights of [`Heuristic`]. Both sets are Hammersley's, each turned by a random
+/// rotation of stream `stream`.
+pub(super) fn shade(
+    point: &Point,
+    stream: u64,
+    light: &EnvironmentSampler,
+    around: &Around<'_>,
+    config: &RelightConfig,
+) -> Lit {
+    let shading = Shading::new(point.material, point.normal, point.view);
+    let mut rng = Rng::stream(config.seed, stream);
+    let [by_light, by_brdf] = [(); 2].map(|()| Vec2::new(rng.uniform(), rng.uniform()));
+    let (n, m) = (config.light_rays as f32, config.brdf_rays as f32);
+    let mut lit = Lit::default();
+    let mut add = |direction: Vec3, radiance: Vec3, own: f32, other: f32| {
+        let Some(reflection) = shading.reflect(direction) else { return };
+        let scale = match config.heuristic {
+            Heuristic::Balance => 1.0 / (own + other),
+            Heuristic::Power => own / (own * own + other * other),
+        };
+        if !(own > 0.0 && scale.is_finite()) {
+            return;
+        }
+        let (open, incoming) = around.look(direction);
+        let direct = scale * open * radiance;
+        lit.diffuse += reflection.diffuse * direct;
+        lit.specular += reflection.specular * direct;
+        lit.indirect += scale * reflection.value() * incoming;
+    };
+    for s in 0..config.light_rays {
+        let sample = light.sample(hammersley(s, config.light_rays, by_light));
+        add(sample.direction, sample.radiance, n * sample.pdf, m * shading.pdf(sample.direction));
+    }
+    for s in 0..config.brdf_rays {
+        let Some(direction) = by_lobe(&shading, hammersley(s, config.brdf_rays, by_brdf)) else { continue };
+        let (radiance, pdf) = light.evaluate(direction);
+        add(direction, radiance, m * shading.pdf(direction), n * pdf);
+    }
+    lit
+}
+
+/// A direction drawn by the BRDF: the first number chooses the lobe and, stretched, the place in it.
+fn by_lobe(shading: &Shading, u: Vec2) -> Option<Vec3> {
+    let chance = shading.specular_chance();
+    let x = if u.x < chance { u.x / chance } else { (u.x - chance) / (1.0 - chance) };
+    shading.sample(u.x, Vec2::new(x.min(1.0 - f32::EPSILON / 2.0), u.y))
+}
+
+/// Irradiance ∫ (1 − O) L cos θ dω of a surface with a unit normal, `around` being there: half of the samples by the
+/// light and half by the cosine, with the balance heuristic.
+pub(super) fn irradiance(
+    normal: Vec3,
+    stream: u64,
+    light: &EnvironmentSampler,
+    around: &Around<'_>,
+    rays: u32,
+    seed: u64,
+) -> Vec3 {
+    let mut rng = Rng::stream(seed, stream);
+    let [by_light, by_cosine] = [(); 2].map(|()| Vec2::new(rng.uniform(), rng.uniform()));
+    let each = (rays / 2).max(1);
+    let mut sum = Vec3::ZERO;
+    let mut add = |direction: Vec3, radiance: Vec3, pdf: f32| {
+        let cosine = normal.dot(direction);
+        if cosine > 0.0 {
+            let density = pdf + cosine_hemisphere_pdf(cosine);
+            sum += around.look(direction).0 * cosine / density * radiance;
+        }
+    };
+    for s in 0..each {
+        let sample = light.sample(hammersley(s, each, by_light));
+        add(sample.direction, sample.radiance, sample.pdf);
+    }
+    let frame = world_from_tangent(normal);
+    for s in 0..each {
+        let direction = frame * cosine_hemisphere(hammersley(s, each, by_cosine));
+        let (radiance, pdf) = light.evaluate(direction);
+        add(direction, radiance, pdf);
+    }
+    sum / each as f32
+}
+
+/// Cosine-weighted mean of 1 − O over the hemisphere, 1/π ∫ (1 − O) cos θ dω, by `rays` samples of the cosine.
+pub(super) fn visibility(normal: Vec3, stream: u64, around: &Around<'_>, rays: u32, seed: u64) -> f32 {
+    let mut rng = Rng::stream(seed, stream);
+    let shift = Vec2::new(rng.uniform(), rng.uniform());
+    let frame = world_from_tangent(normal);
+    let rays = rays.max(1);
+    let look = |s| around.look(frame * cosine_hemisphere(hammersley(s, rays, shift))).0;
+    (0..rays).map(look).sum::<f32>() / rays as f32
+}

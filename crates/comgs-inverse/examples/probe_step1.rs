@@ -1,0 +1,164 @@
+//! Scratch.
+use comgs_image::{Image, write_png};
+use comgs_inverse::{Kind, Observer, Quality, TrainConfig, TrainStatus, TrainView, train};
+use comgs_raster::{Planes, RasterConfig, render};
+use comgs_scene::{Capture, LoadOptions, Split, View};
+use glam::{DVec3, Vec3};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+struct Log(Instant);
+impl Observer for Log {
+    fn progress(&mut self, s: &TrainStatus) {
+        if self.0.elapsed() > Duration::from_secs(15) {
+            self.0 = Instant::now();
+            println!("{:6.1} s {:5}/{} {:.2} dB {} surfels", s.elapsed_s, s.iteration, s.iterations, s.psnr_db, s.surfels);
+        }
+    }
+}
+fn to_train(view: View) -> TrainView {
+    TrainView {
+        hdr: view.encoding == comgs_image::Encoding::Linear,
+        camera: view.camera,
+        color: view.color,
+        mask: view.alpha,
+        valid: view.valid,
+    }
+}
+fn blur3(img: &Image, sigma: f32) -> Image {
+    let r = (3.0 * sigma).ceil() as isize;
+    let w: Vec<f32> = (-r..=r).map(|i| (-(i * i) as f32 / (2.0 * sigma * sigma)).exp()).collect();
+    let (wd, h, c) = (img.width as isize, img.height as isize, img.channels);
+    let pass = |src: &Image, dx: isize, dy: isize| {
+        let mut out = Image::zeros(src.width, src.height, c);
+        for y in 0..h {
+            for x in 0..wd {
+                for (k, i) in (-r..=r).enumerate() {
+                    let (xx, yy) = (x + i * dx, y + i * dy);
+                    if xx >= 0 && yy >= 0 && xx < wd && yy < h {
+                        for q in 0..c {
+                            out.data[((y * wd + x) as usize) * c + q] += w[k] * src.data[((yy * wd + xx) as usize) * c + q];
+                        }
+                    }
+                }
+            }
+        }
+        out
+    };
+    pass(&pass(img, 1, 0), 0, 1)
+}
+fn angle(a: Vec3, b: Vec3) -> f32 {
+    (a.dot(b) / (a.length() * b.length()).max(1e-9)).clamp(-1.0, 1.0).acos().to_degrees()
+}
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let (capture, kind, out) = (&arguments[0], &arguments[1], Path::new(&arguments[2]));
+    let kind = if kind == "object" { Kind::Object } else { Kind::Scene };
+    let mut config = serde_json::to_value(TrainConfig::preset(kind, Quality::Balanced)).unwrap();
+    for pair in &arguments[3..] {
+        let (key, value) = pair.split_once('=').expect("key=value");
+        assert!(config.get(key).is_some(), "no key {key}");
+        config[key] = if key == "time_budget" {
+            serde_json::to_value(Duration::from_secs_f64(value.parse().unwrap())).unwrap()
+        } else {
+            serde_json::from_str(value).expect("a number")
+        };
+    }
+    if let Some(n) = config["iterations"].as_u64() {
+        if !arguments.iter().any(|a| a.starts_with("density_interval")) {
+            config["density_interval"] = ((n / 24).max(50)).into();
+        }
+        if let Some(m) = config["max_surfels"].as_u64()
+            && !arguments.iter().any(|a| a.starts_with("initial_surfels"))
+        {
+            config["initial_surfels"] = (m * 6 / 10).into();
+        }
+    }
+    let config: TrainConfig = serde_json::from_value(config).unwrap();
+    let load = |split| Capture::open(capture, split).and_then(|c| c.load(&LoadOptions::default()));
+    let views: Vec<TrainView> = load(Split::Train).unwrap().into_iter().map(to_train).collect();
+    let trained = train(&views, None, &config, None, &mut Log(Instant::now())).unwrap();
+    let r = &trained.report;
+    std::fs::create_dir_all(out).unwrap();
+    let mut op: Vec<f32> = trained.cloud.opacity_logits.iter().map(|l| 1.0 / (1.0 + (-l).exp())).collect();
+    op.sort_by(f32::total_cmp);
+    let q = |f: f64| op[((op.len() - 1) as f64 * f) as usize];
+    println!("steps {} init {:.1}s total {:.1}s surfels {} train {:.2} dB; opacity deciles {:.2} {:.2} {:.2} {:.2} {:.2}", r.iterations, r.init_seconds, r.seconds, r.surfels, r.train_psnr_db, q(0.1), q(0.3), q(0.5), q(0.7), q(0.9));
+
+    let raster = RasterConfig { near: trained.report.near, ..Default::default() };
+    let (mut psnr, mut ssim, mut count) = (0.0, 0.0, 0.0);
+    let (mut all, mut all_d, mut all_b, mut all_z) = (vec![], vec![], vec![], vec![]);
+    for view in load(Split::Test).unwrap() {
+        let view = to_train(view);
+        let frame = render(&trained.cloud, &view.camera, Planes::GEOMETRY, &raster);
+        let color = frame.color.as_ref().unwrap();
+        let mut truth = view.color.clone();
+        if let Some(mask) = &view.mask {
+            truth.data.chunks_exact_mut(3).zip(&mask.data).for_each(|(p, m)| p.iter_mut().for_each(|v| *v *= m));
+        }
+        psnr += comgs_metrics::psnr_srgb(color, &truth, None).unwrap().db;
+        ssim += comgs_metrics::ssim(color, &truth, comgs_metrics::Border::Valid, None).unwrap().mean;
+        count += 1.0;
+        let (w, h) = (color.width, color.height);
+        let normal = frame.normal.as_ref().unwrap();
+        let blurred = blur3(normal, 2.0);
+        let z = frame.unbiased_depth(0.3);
+        let path = Path::new(capture).join(format!("test/normal/{}.exr", view.camera.name));
+        let zpath = Path::new(capture).join(format!("test/depth/{}.exr", view.camera.name));
+        let (Ok(gt), Some(mask)) = (comgs_image::read(&path), &view.mask) else { continue };
+        let gz = comgs_image::read(&zpath).ok();
+        let shown = normal.map(|v| (0.5 * v + 0.5).clamp(0.0, 1.0).powf(2.2));
+        let mut heat = Image::zeros(w, h, 3);
+        let at = |x: usize, y: usize| {
+            let d = view.camera.ray_world(x as f64 + 0.5, y as f64 + 0.5);
+            d * f64::from(z.data[y * w + x])
+        };
+        for y in 1..h - 1 {
+            for x in 1..w - 1 {
+                let i = y * w + x;
+                let t = Vec3::from_slice(&gt.color.data[3 * i..3 * i + 3]);
+                let n = Vec3::from_slice(&normal.data[3 * i..3 * i + 3]);
+                if mask.data[i] <= 0.99 || n.length() <= 0.1 || t.length() <= 0.5 {
+                    continue;
+                }
+                let e = angle(n, t);
+                all.push(e);
+                all_b.push(angle(Vec3::from_slice(&blurred.data[3 * i..3 * i + 3]), t));
+                if let Some(g) = &gz {
+                    let g = g.color.data[g.color.channels * i];
+                    if g > 0.0 { all_z.push((z.data[i] - g).abs()); }
+                }
+                if [i - 1, i + 1, i - w, i + w].iter().all(|&j| z.data[j] > 0.0) {
+                    let a: DVec3 = at(x + 1, y) - at(x - 1, y);
+                    let b: DVec3 = at(x, y + 1) - at(x, y - 1);
+                    all_d.push(angle(b.cross(a).as_vec3(), t));
+                }
+                let v = (e / 30.0).min(1.0).powf(2.2);
+                heat.pixel_mut(x, y).copy_from_slice(&[v, v, v]);
+            }
+        }
+        let gshown = gt.color.map(|v| (0.5 * v + 0.5).clamp(0.0, 1.0).powf(2.2));
+        let mut both = Image::zeros(5 * w, h, 3);
+        for y in 0..h {
+            for x in 0..w {
+                for (k, image) in [color, &truth, &shown, &gshown, &heat].into_iter().enumerate() {
+                    both.pixel_mut(k * w + x, y).copy_from_slice(&image.pixel(x, y)[..3]);
+                }
+            }
+        }
+        write_png(&out.join(format!("{}.png", view.camera.name)), &both).unwrap();
+    }
+    let stat = |name: &str, v: &mut Vec<f32>| {
+        if v.is_empty() { return; }
+        v.sort_by(f32::total_cmp);
+        let mean = v.iter().map(|x| f64::from(*x)).sum::<f64>() / v.len() as f64;
+        let q = |f: f64| v[((v.len() - 1) as f64 * f) as usize];
+        println!("{name}: mean {mean:.4} median {:.4} p90 {:.4} p99 {:.4}", q(0.5), q(0.9), q(0.99));
+    };
+    println!("PSNR {:.2} SSIM {:.4}", psnr / count, ssim / count);
+    stat("normal", &mut all);
+    stat("normal blurred", &mut all_b);
+    stat("depth normal", &mut all_d);
+    stat("depth", &mut all_z);
+}
