@@ -5,7 +5,7 @@
 
 //! Arguments and help. Help teaches: every command says what it makes and shows how it is called.
 
-use crate::values::{Pixel, duration, pixel, point, positive, size};
+use crate::values::{GreyCard, Pixel, duration, factors, grey_card, pixel, point, positive, size};
 use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use comgs_pipeline::stages::material::AlbedoEdit;
 use std::path::PathBuf;
@@ -52,6 +52,7 @@ fn threads(text: &str) -> Result<usize, String> {
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     Reconstruct(Reconstruct),
+    Decompose(Decompose),
     Place(Place),
     Light(Light),
     Render(Render),
@@ -134,6 +135,107 @@ pub(crate) struct Reconstruct {
     /// Only list every problem of the capture, each with its path
     #[arg(long)]
     pub check: bool,
+}
+
+/// Where occlusion and light from the object itself come from.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Visibility {
+    /// Interpolated from probes on the surface
+    Probes,
+    /// A traced ray for every light sample: slow, what probes stand for
+    Trace,
+    /// Nothing is occluded
+    None,
+}
+
+/// Make an object relightable: separate its material from the light of its capture
+///
+/// Adds albedo, roughness and metallic to the asset's surfels, and to the asset the light it was captured under (env.exr)
+/// and the probes that know what each spot of it sees. Photos cannot tell a bright surface in dim light from a dark one in
+/// bright light: a prior decides unless --albedo-scale or --grey-card does.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs decompose cow.asset --capture photos/cow
+  comgs decompose cow.asset --capture photos/cow -o cow_relightable.asset --time-budget 3m
+  comgs decompose cow.asset --capture photos/cow --grey-card 00012,210,140
+  comgs decompose cow.asset --capture photos/cow --visibility trace      what the probes save")]
+pub(crate) struct Decompose {
+    /// Object asset, made by `comgs reconstruct`
+    pub asset: PathBuf,
+
+    /// The capture it was made from
+    #[arg(long, value_name = "CAPTURE")]
+    pub capture: PathBuf,
+
+    /// Asset to make; the same folder when absent
+    #[arg(short, long, value_name = "ASSET")]
+    pub output: Option<PathBuf>,
+
+    /// Where occlusion and light from the object itself come from
+    #[arg(long, value_enum, default_value = "probes")]
+    pub visibility: Visibility,
+
+    /// Number of probes [default: by quality, 5000 when balanced]
+    #[arg(long, value_name = "N")]
+    pub probes: Option<usize>,
+
+    /// Side of a probe's texture in texels
+    #[arg(long, value_name = "TEXELS", default_value_t = 16)]
+    pub probe_res: usize,
+
+    /// Distance of probes from the surface, as a share of the object's size
+    #[arg(long, value_name = "SHARE", default_value_t = 0.01)]
+    pub probe_offset: f32,
+
+    /// Let probes count only as far as they see the shading point (DDGI's Chebyshev weight)
+    #[arg(long, value_enum, default_value = "off")]
+    pub chebyshev: Switch,
+
+    /// Light samples a shading point [default: by quality, 128 when balanced]
+    #[arg(long, value_name = "N")]
+    pub rays: Option<u32>,
+
+    /// Number of steps [default: by quality]
+    #[arg(long, value_name = "N")]
+    pub iterations: Option<u32>,
+
+    /// Multiply the albedo that the prior finds by one factor or three (and divide the light)
+    #[arg(long, value_name = "S|R,G,B", value_parser = factors, conflicts_with = "grey_card")]
+    pub albedo_scale: Option<[f32; 3]>,
+
+    /// A pixel of a training photo that shows a grey card (albedo 0.18 when none is given)
+    #[arg(long, value_name = "VIEW,X,Y[,ALBEDO]", value_parser = grey_card)]
+    pub grey_card: Option<GreyCard>,
+
+    /// Time against quality
+    #[arg(long, value_enum, default_value = "balanced")]
+    pub quality: Quality,
+
+    /// End after this time with the best result so far (90s, 3m)
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub time_budget: Option<f64>,
+
+    /// Reduce photos to this width in pixels
+    #[arg(long, value_name = "PX", default_value_t = 1600)]
+    pub max_width: usize,
+
+    /// Same seed, same bytes (without a time budget)
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+
+    /// Continue from the checkpoint that an interrupted run left
+    #[arg(long)]
+    pub resume: bool,
+}
+
+/// On or off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Switch {
+    /// Yes
+    On,
+    /// No
+    Off,
 }
 
 /// Say where an object stands in a scene

@@ -4,8 +4,8 @@ use crate::args::{self, Cli, Command};
 use crate::terminal::Terminal;
 use anyhow::{Context as _, bail};
 use clap::CommandFactory;
-use comgs_inverse::{Kind, Quality};
-use comgs_pipeline::stages::{compose, demo, eval, info, light, material, place, reconstruct, render, synth};
+use comgs_inverse::{AlbedoScale, Kind, Quality, Visibility};
+use comgs_pipeline::stages::{compose, decompose, demo, eval, info, light, material, place, reconstruct, render, synth};
 use comgs_pipeline::{CancelToken, Context};
 use comgs_scene::{CheckDepth, check_with};
 use std::path::Path;
@@ -49,6 +49,7 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
     match &cli.command {
         Command::Reconstruct(a) if a.check => return check(&a.capture),
         Command::Reconstruct(a) => run_reconstruct(a, &context)?,
+        Command::Decompose(a) => run_decompose(a, &context)?,
         Command::Place(a) => run_place(a, &context)?,
         Command::Light(a) => run_light(a, &context)?,
         Command::Render(a) => run_render(a, &context)?,
@@ -88,6 +89,40 @@ fn run_reconstruct(a: &args::Reconstruct, context: &Context<'_>) -> anyhow::Resu
         ..reconstruct::Config::default()
     };
     let made = reconstruct::run(&input, &config, context)?;
+    println!("{}", made.asset.display());
+    Ok(())
+}
+
+fn run_decompose(a: &args::Decompose, context: &Context<'_>) -> anyhow::Result<()> {
+    let input =
+        decompose::Input { asset: a.asset.clone(), capture: a.capture.clone(), output: a.output.clone() };
+    let mut config = decompose::Config::preset(a.quality.into());
+    let c = &mut config.decompose;
+    c.visibility = match a.visibility {
+        args::Visibility::Probes => Visibility::Probes,
+        args::Visibility::Trace => Visibility::Trace,
+        args::Visibility::None => Visibility::None,
+    };
+    c.probes = a.probes.unwrap_or(c.probes);
+    c.probe_resolution = a.probe_res;
+    c.probe_offset = a.probe_offset;
+    c.chebyshev = a.chebyshev == args::Switch::On;
+    c.rays = a.rays.unwrap_or(c.rays);
+    c.iterations = a.iterations.unwrap_or(c.iterations);
+    c.seed = a.seed;
+    if let Some(factor) = a.albedo_scale {
+        c.albedo_scale = AlbedoScale::Factor(factor);
+    }
+    config.grey_card = a.grey_card.as_ref().map(|g| decompose::GreyCard {
+        view: g.view.clone(),
+        x: g.x,
+        y: g.y,
+        albedo: g.albedo,
+    });
+    config.time_budget_s = a.time_budget;
+    config.max_width = a.max_width;
+    config.resume = if a.resume { reconstruct::Resume::Expected } else { reconstruct::Resume::Never };
+    let made = decompose::run(&input, &config, context)?;
     println!("{}", made.asset.display());
     Ok(())
 }

@@ -26,6 +26,40 @@ pub(crate) fn pixel(text: &str) -> Result<Pixel, String> {
     Ok(Pixel { view: view.to_owned(), x: number(x)?, y: number(y)? })
 }
 
+/// A pixel of a view that shows a grey card.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct GreyCard {
+    pub view: String,
+    pub x: usize,
+    pub y: usize,
+    pub albedo: f32,
+}
+
+/// `view,x,y` or `view,x,y,albedo`.
+pub(crate) fn grey_card(text: &str) -> Result<GreyCard, String> {
+    let parts: Vec<&str> = text.split(',').collect();
+    let (view, x, y, albedo) = match parts[..] {
+        [view, x, y] => (view, x, y, 0.18),
+        [view, x, y, albedo] => (view, x, y, number(albedo)? as f32),
+        _ => return Err("expected view,x,y or view,x,y,albedo such as 00012,210,140,0.18".into()),
+    };
+    let pixel = |text: &str| text.trim().parse::<usize>().map_err(|_| format!("{text:?} is not a pixel"));
+    if !(albedo > 0.0 && albedo < 1.0) {
+        return Err(format!("the card's albedo is {albedo}, expected a number between 0 and 1"));
+    }
+    Ok(GreyCard { view: view.to_owned(), x: pixel(x)?, y: pixel(y)?, albedo })
+}
+
+/// One positive factor, or three.
+pub(crate) fn factors(text: &str) -> Result<[f32; 3], String> {
+    let numbers: Vec<f64> = text.split(',').map(positive).collect::<Result<_, _>>()?;
+    match numbers[..] {
+        [s] => Ok([s as f32; 3]),
+        [r, g, b] => Ok([r as f32, g as f32, b as f32]),
+        _ => Err(format!("expected one factor or three, got {}", numbers.len())),
+    }
+}
+
 fn number(text: &str) -> Result<f64, String> {
     let text = text.trim();
     match text.parse::<f64>() {

@@ -26,7 +26,5 @@ pub use objects::{PlacedObject, merge};
 pub use over::Ordering;
 pub use placement::{PlacementConfig, PlacementReport, check_placement};
 pub use receivers::Receivers;
-pub use relight::{
-    Heuristic, Indirect, RelightConfig, RelightError, Relighter, RelitFrame, SelfOcclusion,
-};
+pub use relight::{Heuristic, Indirect, RelightConfig, RelightError, Relighter, RelitFrame, SelfOcclusion};
 pub use shadow::{DARK, LightSample, LightSource, Occluder, ShadowConfig, shadow_ratio};

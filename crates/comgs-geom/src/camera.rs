@@ -3,6 +3,9 @@
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
+/// Largest accepted image size in pixels (8192×8192): a camera that asks for more is refused before memory is taken.
+pub const MAX_PIXELS: usize = 1 << 26;
+
 /// A pinhole camera with a pose.
 ///
 /// The image plane spans `[0, width] × [0, height]` pixels. The principal point may lie anywhere, even outside
@@ -129,17 +132,20 @@ impl Camera {
         }
     }
 
-    /// Problems that make a camera unusable: zero size, non-finite or zero focal length, a pose that is not a
-    /// rotation. Empty when the camera is sound.
+    /// Problems that make a camera unusable: zero size or more than [`MAX_PIXELS`], a focal length that is not positive
+    /// and finite, a pose that is not a rotation. Empty when the camera is sound.
     #[must_use]
     pub fn problems(&self) -> Vec<String> {
         let mut problems = Vec::new();
         if self.width == 0 || self.height == 0 {
             problems.push(format!("image size is {}×{}", self.width, self.height));
+        } else if self.width.checked_mul(self.height).is_none_or(|n| n > MAX_PIXELS) {
+            let (w, h) = (self.width, self.height);
+            problems.push(format!("image size is {w}×{h}, more than the limit of {MAX_PIXELS} pixels"));
         }
         for (name, v) in [("fx", self.fx), ("fy", self.fy)] {
-            if !v.is_finite() || v == 0.0 {
-                problems.push(format!("{name} is {v}, expected a finite focal length in pixels"));
+            if !(v > 0.0 && v.is_finite()) {
+                problems.push(format!("{name} is {v}, expected a positive finite focal length in pixels"));
             }
         }
         for (name, v) in [("cx", self.cx), ("cy", self.cy)] {
@@ -164,6 +170,30 @@ impl Camera {
             }
         }
         problems
+    }
+
+    /// What is legal and hardly meant: a field of view below 1° or above 170° along a side, a principal point more than
+    /// a whole image away from the image. Empty for a camera with [`Camera::problems`].
+    #[must_use]
+    pub fn oddities(&self) -> Vec<String> {
+        let mut oddities = Vec::new();
+        if !self.problems().is_empty() {
+            return oddities;
+        }
+        let (w, h) = (self.width as f64, self.height as f64);
+        for (side, size, f) in [("across", w, self.fx), ("upright", h, self.fy)] {
+            let view = 2.0 * (0.5 * size / f).atan().to_degrees();
+            if !(1.0..=170.0).contains(&view) {
+                oddities
+                    .push(format!("the field of view is {view:.2}° {side} (focal length {f} of {size} px)"));
+            }
+        }
+        for (name, size, c) in [("cx", w, self.cx), ("cy", h, self.cy)] {
+            if !(-size..=2.0 * size).contains(&c) {
+                oddities.push(format!("{name} is {c}, far outside the image of {size} px"));
+            }
+        }
+        oddities
     }
 }
 
@@ -217,8 +247,32 @@ mod tests {
         bad = good.clone();
         bad.world_from_camera.matrix3.x_axis = DVec3::ZERO;
         assert!(bad.problems()[0].contains("invertible"));
-        bad = good;
+        bad = good.clone();
         bad.world_from_camera.translation.x = f64::INFINITY;
         assert!(bad.problems()[0].contains("non-finite"));
+        for f in [0.0, -40.0, f64::INFINITY] {
+            bad = Camera { fy: f, ..good.clone() };
+            assert!(bad.problems()[0].contains("fy"), "{f}");
+        }
+        for (width, height) in [(0, 4), (8193, 8192), (usize::MAX, 2)] {
+            bad = Camera { width, height, ..good.clone() };
+            assert!(bad.problems()[0].contains("image size"), "{width}×{height}");
+        }
+    }
+
+    /// Goal: cameras that nobody means are told; a shifted lens and a crop of a larger image are not.
+    #[test]
+    fn odd_cameras_are_told() {
+        let good = Camera::look_at("a", 64, 48, 1.0, DVec3::new(4.0, 0.0, 2.0), DVec3::ZERO, DVec3::Z);
+        assert!(good.problems().is_empty() && good.oddities().is_empty());
+        assert!(Camera { cx: -40.0, cy: 90.0, ..good.clone() }.oddities().is_empty());
+        for (odd, expected) in [
+            (Camera { fx: 1e6, ..good.clone() }, "field of view"),
+            (Camera { fy: 0.5, ..good.clone() }, "upright"),
+            (Camera { cx: 1e5, ..good.clone() }, "cx"),
+            (Camera { cy: -300.0, ..good.clone() }, "cy"),
+        ] {
+            assert!(odd.problems().is_empty() && odd.oddities()[0].contains(expected), "{odd:?}");
+        }
     }
 }

@@ -12,10 +12,11 @@
 
 use glam::{DVec2, DVec3, Vec2, Vec3};
 
-/// +1 for 0, −0 and above, −1 below.
+/// `magnitude` ≥ 0 with the sign of `x`, where 0 and −0 are positive. Bit operations: a branch on the sign of a random
+/// direction is mispredicted half of the time (a footprint took 2.5 times as long with them).
 #[inline]
-fn sign(x: f32) -> f32 {
-    if x < 0.0 { -1.0 } else { 1.0 }
+fn signed(magnitude: f32, x: f32) -> f32 {
+    magnitude.copysign(x + 0.0)
 }
 
 /// `d` over its L1 norm, and 1 over that norm; zero and non-finite vectors are +z with a factor of 0. Directions
@@ -41,14 +42,12 @@ fn extreme_on_octahedron(d: Vec3) -> (Vec3, f32) {
     ((d * inverse).as_vec3(), if inverse <= f64::from(f32::MAX) { inverse as f32 } else { 0.0 })
 }
 
-/// Place in the square `[−1, 1]²` of a point of the octahedron.
+/// Place in the square `[−1, 1]²` of a point of the octahedron: below the equator, (1 − |y|) with the sign of x, which
+/// is x moved outwards by |z|.
 #[inline]
 fn unfolded(p: Vec3) -> Vec2 {
-    if p.z < 0.0 {
-        Vec2::new((1.0 - p.y.abs()) * sign(p.x), (1.0 - p.x.abs()) * sign(p.y))
-    } else {
-        Vec2::new(p.x, p.y)
-    }
+    let out = (-p.z).max(0.0);
+    Vec2::new(p.x + signed(out, p.x), p.y + signed(out, p.y))
 }
 
 /// `uv` in `[0, 1]²` of a direction of any length; zero and non-finite vectors are taken as +z. Inverse:
@@ -66,9 +65,8 @@ pub fn uv_from_direction(d: Vec3) -> Vec2 {
 pub fn direction(uv: Vec2) -> Vec3 {
     let p = uv * 2.0 - 1.0;
     let z = 1.0 - p.x.abs() - p.y.abs();
-    let xy =
-        if z < 0.0 { Vec2::new((1.0 - p.y.abs()) * sign(p.x), (1.0 - p.x.abs()) * sign(p.y)) } else { p };
-    Vec3::new(xy.x, xy.y, z).normalize()
+    let out = (-z).max(0.0);
+    Vec3::new(p.x - signed(out, p.x), p.y - signed(out, p.y), z).normalize()
 }
 
 /// Unit direction of the centre of a texel.
@@ -240,14 +238,14 @@ pub fn footprint(d: Vec3, size: usize) -> Footprint {
         let first = (row * n + column) as u32;
         [first, first + 1, first + n as u32, first + n as u32 + 1]
     } else {
-        [
-            wrapped(column, row, n),
-            wrapped(column + 1, row, n),
-            wrapped(column, row + 1, n),
-            wrapped(column + 1, row + 1, n),
-        ]
+        border(column, row, n)
     };
     Footprint { texels, weights }
+}
+
+#[cold]
+fn border(column: i32, row: i32, size: i32) -> [u32; 4] {
+    [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| wrapped(column + x, row + y, size))
 }
 
 /// Gradient of [`footprint`] with respect to the direction, given that with respect to its weights: exact for the
@@ -261,10 +259,13 @@ pub fn footprint_vjp(d: Vec3, size: usize, grad_weights: [f32; 4]) -> Vec3 {
     let [a, b, c, e] = grad_weights;
     let half = 0.5 * size as f32;
     let grad = Vec2::new((1.0 - fy) * (b - a) + fy * (e - c), (1.0 - fx) * (c - a) + fx * (e - b)) * half;
-    let (sx, sy, sz) = (sign(p.x), sign(p.y), sign(p.z));
-    let grad = if p.z < 0.0 { -sx * sy * Vec2::new(grad.y, grad.x) } else { grad };
-    let along = grad.x * p.x + grad.y * p.y;
-    inverse * Vec3::new(grad.x - along * sx, grad.y - along * sy, -along * sz)
+    let (sx, sy, sz) = (signed(1.0, p.x), signed(1.0, p.y), signed(1.0, p.z));
+    // Below the equator both coordinates are moved outwards by −z.
+    let below = 0.5 - 0.5 * sz;
+    let grad_z = -below * (grad.x * sx + grad.y * sy);
+    // Through the division by |x| + |y| + |z|.
+    let along = grad.x * p.x + grad.y * p.y + grad_z * p.z;
+    inverse * Vec3::new(grad.x - along * sx, grad.y - along * sy, grad_z - along * sz)
 }
 
 #[cfg(test)]

@@ -9,4 +9,4 @@ pub mod write;
 
 pub use image::Image;
 pub use read::{Encoding, Loaded, ReadError, read};
-pub use write::{Layer, WriteError, write_exr, write_layers, write_png};
+pub use write::{Layer, WriteError, encode_exr, write_exr, write_hdr, write_layers, write_png};

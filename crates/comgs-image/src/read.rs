@@ -55,8 +55,11 @@ pub enum ReadError {
     },
 }
 
-/// Largest accepted image (a 16k panorama); a header that asks for more is refused before memory is taken.
-pub const MAX_PIXELS: usize = 1 << 28;
+/// Largest accepted image (67 million pixels: 8192×8192, an 11k panorama); a header that asks for more is refused before
+/// memory is taken. In floats and three channels it is 768 MiB.
+pub const MAX_PIXELS: usize = 1 << 26;
+/// Largest number of samples in all channels of an EXR: four channels at [`MAX_PIXELS`], or more in a smaller picture.
+const MAX_SAMPLES: usize = 4 * MAX_PIXELS;
 
 /// Reads an image by its content's format (EXR by its magic number, others through `image`).
 ///
@@ -138,6 +141,10 @@ fn decode_exr(bytes: &[u8], path: &Path) -> Result<Loaded, ReadError> {
     let meta = exr::meta::MetaData::read_from_buffered(bytes, false).map_err(|e| error(e.to_string()))?;
     for header in &meta.headers {
         check_size(header.layer_size.width(), header.layer_size.height(), path)?;
+        let channels = header.channels.list.len();
+        if header.layer_size.area().saturating_mul(channels) > MAX_SAMPLES {
+            return Err(error(format!("{channels} channels are more than {MAX_SAMPLES} samples")));
+        }
     }
     let exr_image = exr::prelude::read()
         .no_deep_data()
@@ -224,4 +231,43 @@ fn decode_other(bytes: &[u8], path: &Path) -> Result<Loaded, ReadError> {
         alpha: has_alpha.then_some(alpha),
         encoding: if linear { Encoding::Linear } else { Encoding::Srgb },
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::{Duration, Instant};
+
+    /// A PNG chunk with its checksum.
+    fn chunk(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
+        let body = [&kind[..], content].concat();
+        let crc = !body.iter().fold(!0u32, |crc, byte| {
+            (0..8).fold(crc ^ u32::from(*byte), |c, _| (c >> 1) ^ (0xedb8_8320 & (c & 1).wrapping_neg()))
+        });
+        [&(content.len() as u32).to_be_bytes(), &body[..], &crc.to_be_bytes()].concat()
+    }
+
+    /// The beginning of a PNG of 8-bit greys whose header is sound.
+    fn png_header(width: u32, height: u32) -> Vec<u8> {
+        let size = [width.to_be_bytes(), height.to_be_bytes()].concat();
+        let header = [&size[..], &[8, 0, 0, 0, 0]].concat();
+        [b"\x89PNG\r\n\x1a\n".to_vec(), chunk(b"IHDR", &header), chunk(b"IDAT", &[0x78, 0x9c])].concat()
+    }
+
+    /// Goal: a small file that asks for 16000×16000 pixels (three gigabytes in floats) is refused from its header
+    /// (hard case 34); what is just below the limit is not refused for its size.
+    #[test]
+    fn giants_are_refused_quickly() {
+        let bytes = png_header(16_000, 16_000);
+        let start = Instant::now();
+        let error = decode(&bytes, Path::new("giant.png")).unwrap_err();
+        assert!(matches!(error, ReadError::TooLarge { width: 16_000, height: 16_000, .. }), "{error}");
+        // Reading the header takes microseconds, decoding seconds.
+        assert!(start.elapsed() < Duration::from_millis(200), "{:?}", start.elapsed());
+        let small = decode(&png_header(16, 16), Path::new("small.png")).unwrap_err();
+        assert!(matches!(small, ReadError::Decode { .. }), "{small}");
+        assert!(check_size(8192, 8192, Path::new("x")).is_ok());
+        assert!(check_size(8192, 8193, Path::new("x")).is_err());
+        assert!(check_size(usize::MAX, 2, Path::new("x")).is_err());
+    }
 }

@@ -1,4 +1,4 @@
-//! Writing of PNG (sRGB, 8 bit) and EXR (linear).
+//! Writing of PNG (sRGB, 8 bit), EXR and HDR (linear).
 
 use crate::{Image, atomic, transfer};
 use std::path::{Path, PathBuf};
@@ -54,6 +54,24 @@ pub fn write_png(path: &Path, image: &Image) -> Result<(), WriteError> {
     atomic::write_file(path, |w| w.write_all(&encoded)).map_err(|e| failed(path, e))
 }
 
+/// Writes linear radiance as Radiance HDR: three channels of one shared exponent (a relative error of 1/256 of the
+/// largest channel); negative values become 0.
+///
+/// # Errors
+/// [`WriteError`] when the image has not three channels or cannot be written; the target is then unchanged.
+pub fn write_hdr(path: &Path, image: &Image) -> Result<(), WriteError> {
+    if image.channels != 3 {
+        return Err(failed(path, format!("an HDR has 3 channels, not {}", image.channels)));
+    }
+    let pixels: Vec<image::Rgb<f32>> =
+        image.data.chunks_exact(3).map(|p| image::Rgb([p[0].max(0.0), p[1].max(0.0), p[2].max(0.0)])).collect();
+    let mut encoded = Vec::new();
+    image::codecs::hdr::HdrEncoder::new(&mut encoded)
+        .encode(&pixels, image.width, image.height)
+        .map_err(|e| failed(path, e))?;
+    atomic::write_file(path, |w| w.write_all(&encoded)).map_err(|e| failed(path, e))
+}
+
 /// One layer of a multilayer EXR: its channels are named `<layer>.<channel>`.
 #[derive(Clone, Debug)]
 pub struct Layer<'a> {
@@ -72,13 +90,22 @@ pub struct Layer<'a> {
 /// # Errors
 /// [`WriteError`]; the target is then unchanged.
 pub fn write_exr(path: &Path, image: &Image) -> Result<(), WriteError> {
+    let encoded = encode_exr(path, image)?;
+    atomic::write_file(path, |w| w.write_all(&encoded)).map_err(|e| failed(path, e))
+}
+
+/// The bytes that [`write_exr`] writes; `path` is only for messages.
+///
+/// # Errors
+/// As [`write_exr`], but for the file's own.
+pub fn encode_exr(path: &Path, image: &Image) -> Result<Vec<u8>, WriteError> {
     let channels: &[&str] = match image.channels {
         1 => &["Y"],
         3 => &["R", "G", "B"],
         4 => &["R", "G", "B", "A"],
         n => return Err(failed(path, format!("an EXR of 1, 3 or 4 channels was expected, not {n}"))),
     };
-    write_layers(path, &[Layer { name: "", channels, image, full_float: image.channels == 1 }])
+    encode_layers(path, &[Layer { name: "", channels, image, full_float: image.channels == 1 }])
 }
 
 /// Writes a single-part EXR whose channels are named `layer.channel`, the form that Nuke, Blender and other
@@ -87,6 +114,11 @@ pub fn write_exr(path: &Path, image: &Image) -> Result<(), WriteError> {
 /// # Errors
 /// [`WriteError`] when the layers differ in size or the file cannot be written.
 pub fn write_layers(path: &Path, layers: &[Layer<'_>]) -> Result<(), WriteError> {
+    let encoded = encode_layers(path, layers)?;
+    atomic::write_file(path, |w| w.write_all(&encoded)).map_err(|e| failed(path, e))
+}
+
+fn encode_layers(path: &Path, layers: &[Layer<'_>]) -> Result<Vec<u8>, WriteError> {
     use exr::prelude::*;
     let Some(first) = layers.first() else { return Err(failed(path, "no layers")) };
     let (width, height) = (first.image.width, first.image.height);
@@ -128,7 +160,7 @@ pub fn write_layers(path: &Path, layers: &[Layer<'_>]) -> Result<(), WriteError>
         .non_parallel()
         .to_buffered(&mut encoded)
         .map_err(|e| failed(path, e))?;
-    atomic::write_file(path, |w| w.write_all(encoded.get_ref())).map_err(|e| failed(path, e))
+    Ok(encoded.into_inner())
 }
 
 #[cfg(test)]
@@ -163,6 +195,22 @@ mod tests {
                 "{names:?}"
             );
         }
+    }
+
+    /// Goal: radiance far above 1 survives HDR to the precision of the format.
+    #[test]
+    fn hdr_round_trip() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.hdr");
+        let image = ramp(3).map(|v| v * 40.0);
+        write_hdr(&path, &image).unwrap();
+        let back = read(&path).unwrap();
+        assert_eq!(back.encoding, crate::Encoding::Linear);
+        for (a, b) in image.data.chunks_exact(3).zip(back.color.data.chunks_exact(3)) {
+            let step = a.iter().fold(0.0, |m: f32, v| m.max(*v)) / 128.0;
+            assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() <= step), "{a:?} {b:?}");
+        }
+        assert!(write_hdr(&path, &ramp(4)).is_err());
     }
 
     /// Goal: an 8-bit picture survives PNG, with straight alpha kept linear.

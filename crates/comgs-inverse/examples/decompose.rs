@@ -3,10 +3,11 @@
 //! is a field of `DecomposeConfig`. ASSET is made by `comgs reconstruct`; RELIT is a folder `object_relit/NAME`.
 
 use comgs_image::{Image, write_png};
+use comgs_inverse::decompose::proposal::Proposal;
 use comgs_inverse::decompose::shade::{Incident, Lighting, Shaded, shade};
 use comgs_inverse::decompose::{self, DecomposeConfig, shading_points};
 use comgs_inverse::{Decomposed, Observer, TrainStatus, TrainView};
-use comgs_light::{EnvironmentMap, Importance, OctahedralLight, OctahedralSampler};
+use comgs_light::{EnvironmentMap, OctahedralLight};
 use comgs_probe::LookupConfig;
 use comgs_raster::{Planes, RasterConfig, render};
 use comgs_scene::{Asset, Capture, LoadOptions, Split, View};
@@ -59,7 +60,7 @@ fn relit(d: &Decomposed, light: &OctahedralLight, camera: &comgs_geom::Camera, r
         Some((set, index, lookup)) => Incident::Probes { set, index, lookup },
         None => Incident::Open,
     };
-    let proposal = OctahedralSampler::new(light, Importance::Exact);
+    let proposal = Proposal::new(light, 3);
     let mut shaded = Shaded::default();
     // Indirect light of the capture has no place under another light.
     let mut dark = found.as_ref().map(|(set, ..)| (*set).clone());

@@ -56,8 +56,13 @@ fn main() {
     let (capture, kind, out) = (&arguments[0], &arguments[1], Path::new(&arguments[2]));
     let kind = if kind == "object" { Kind::Object } else { Kind::Scene };
     let mut config = serde_json::to_value(TrainConfig::preset(kind, Quality::Balanced)).unwrap();
+    let mut loaded = None;
     for pair in &arguments[3..] {
         let (key, value) = pair.split_once('=').expect("key=value");
+        if key == "load" {
+            loaded = Some(value.to_owned());
+            continue;
+        }
         assert!(config.get(key).is_some(), "no key {key}");
         config[key] = if key == "time_budget" {
             serde_json::to_value(Duration::from_secs_f64(value.parse().unwrap())).unwrap()
@@ -78,7 +83,30 @@ fn main() {
     let config: TrainConfig = serde_json::from_value(config).unwrap();
     let load = |split| Capture::open(capture, split).and_then(|c| c.load(&LoadOptions::default()));
     let views: Vec<TrainView> = load(Split::Train).unwrap().into_iter().map(to_train).collect();
-    let trained = train(&views, None, &config, None, &mut Log(Instant::now())).unwrap();
+    let trained = if let Some(p) = &loaded {
+        let (cloud, _) = comgs_surfel::ply::read_surfels(Path::new(p)).unwrap();
+        let cams: Vec<_> = views.iter().map(|v| &v.camera).collect();
+        let near = comgs_inverse::train::near_plane(&comgs_inverse::view::Rig::new(&cams).unwrap());
+        comgs_inverse::Trained { cloud, report: comgs_inverse::TrainReport { near, ..Default::default() } }
+    } else {
+        train(&views, None, &config, None, &mut Log(Instant::now())).unwrap()
+    };
+    std::fs::create_dir_all(out).unwrap();
+    if loaded.is_none() {
+        comgs_surfel::ply::write_surfels(&out.join("cloud.ply"), &trained.cloud, comgs_surfel::ply::PlyStyle::Asset).unwrap();
+    }
+    {
+        let mut s: Vec<(f32, f32)> = (0..trained.cloud.len()).map(|i| {
+            let l = trained.cloud.log_scales[i].map(f32::exp);
+            (l[0].max(l[1]), l[0] * l[1])
+        }).collect();
+        s.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let area: f32 = s.iter().map(|x| x.1).sum();
+        let mut acc = 0.0; let mut next = 0.1;
+        print!("max sigma, area-weighted deciles:");
+        for x in &s { acc += x.1; if acc >= next * area { print!(" {:.4}", x.0); next += 0.2; } }
+        println!("; unweighted median {:.4}, 6 pi area {:.2}", s[s.len() / 2].0, area * 6.28);
+    }
     let r = &trained.report;
     std::fs::create_dir_all(out).unwrap();
     let mut op: Vec<f32> = trained.cloud.opacity_logits.iter().map(|l| 1.0 / (1.0 + (-l).exp())).collect();
@@ -86,8 +114,10 @@ fn main() {
     let q = |f: f64| op[((op.len() - 1) as f64 * f) as usize];
     println!("steps {} init {:.1}s total {:.1}s surfels {} train {:.2} dB; opacity deciles {:.2} {:.2} {:.2} {:.2} {:.2}", r.iterations, r.init_seconds, r.seconds, r.surfels, r.train_psnr_db, q(0.1), q(0.3), q(0.5), q(0.7), q(0.9));
 
-    let raster = RasterConfig { near: trained.report.near, ..Default::default() };
+    let raster = RasterConfig { near: trained.report.near, order: if std::env::var("CENTRE").is_ok() { comgs_raster::Order::Centre } else { comgs_raster::Order::Sheet }, ..Default::default() };
     let (mut psnr, mut ssim, mut count) = (0.0, 0.0, 0.0);
+    let mut bias = [[0.0f64; 4]; 6];
+    let mut all_nd = vec![];
     let (mut all, mut all_d, mut all_b, mut all_z) = (vec![], vec![], vec![], vec![]);
     for view in load(Split::Test).unwrap() {
         let view = to_train(view);
@@ -123,6 +153,11 @@ fn main() {
                     continue;
                 }
                 let e = angle(n, t);
+                let back = -view.camera.ray_world(x as f64 + 0.5, y as f64 + 0.5).as_vec3();
+                let tilt = angle(t, back);
+                let bin = ((tilt / 15.0) as usize).min(5);
+                bias[bin][0] += 1.0;
+                bias[bin][1] += f64::from(tilt - angle(n, back));
                 all.push(e);
                 all_b.push(angle(Vec3::from_slice(&blurred.data[3 * i..3 * i + 3]), t));
                 if let Some(g) = &gz {
@@ -132,7 +167,11 @@ fn main() {
                 if [i - 1, i + 1, i - w, i + w].iter().all(|&j| z.data[j] > 0.0) {
                     let a: DVec3 = at(x + 1, y) - at(x - 1, y);
                     let b: DVec3 = at(x, y + 1) - at(x, y - 1);
-                    all_d.push(angle(b.cross(a).as_vec3(), t));
+                    let nd = b.cross(a).as_vec3();
+                    all_d.push(angle(nd, t));
+                    all_nd.push(angle(nd, n));
+                    bias[bin][2] += f64::from(tilt - angle(nd, back));
+                    bias[bin][3] += 1.0;
                 }
                 let v = (e / 30.0).min(1.0).powf(2.2);
                 heat.pixel_mut(x, y).copy_from_slice(&[v, v, v]);
@@ -161,4 +200,8 @@ fn main() {
     stat("normal blurred", &mut all_b);
     stat("depth normal", &mut all_d);
     stat("depth", &mut all_z);
+    stat("normal to depth normal", &mut all_nd);
+    print!("bias towards viewer by tilt/15 (N, N_d):");
+    for b in bias { print!("  {:.2} {:.2}", b[1] / b[0], b[2] / b[3].max(1.0)); }
+    println!();
 }

@@ -60,6 +60,8 @@ pub struct TrainConfig {
     pub sh_ratio: f32,
     /// x
     pub late: f32,
+    /// x
+    pub max_sigma: f32,
     /// Weight of the mask cross-entropy (Eq. 4; paper: 0.05).
     pub mask_weight: f32,
     /// Steps between rounds of growth and pruning.
@@ -116,6 +118,7 @@ impl TrainConfig {
             sh_pace: 5.0,
             sh_ratio: 0.1,
             late: 0.2,
+            max_sigma: 0.0,
             mask_weight: 0.05,
             density_interval: (iterations / 24).max(50),
             resolution_steps: [0.12, 0.35],

@@ -21,6 +21,7 @@ mod checkpoint;
 pub mod config;
 mod patch;
 pub mod probes;
+pub mod proposal;
 pub mod scale;
 pub mod shade;
 
@@ -31,9 +32,9 @@ use crate::TrainError;
 use comgs_geom::Rng;
 use comgs_image::Image;
 use comgs_light::brdf::Material;
-use comgs_light::{Importance, LightPyramid, OctahedralLight, OctahedralSampler, luminance};
+use comgs_light::{LightPyramid, OctahedralLight, luminance};
 use comgs_optim::{Adam, AdamConfig, Photometric, schedule};
-use comgs_probe::{BakeObserver, LookupConfig, ProbeError, ProbeIndex, ProbeSet};
+use comgs_probe::{BakeObserver, LookupConfig, ProbeConfig, ProbeError, ProbeIndex, ProbeSet};
 use comgs_raster::{Frame, FrameGradient, Planes, RasterConfig, SurfelGradients, Workspace, backward, forward};
 use comgs_surfel::activation::{logit, sigmoid};
 use comgs_surfel::{MaterialColumns, SurfelCloud};
@@ -41,6 +42,7 @@ use comgs_trace::{TraceConfig, Tracer};
 pub use config::{AlbedoScale, DecomposeConfig, Visibility};
 use glam::{DVec3, Vec3};
 use patch::{Patch, Source};
+use proposal::Proposal;
 use shade::{Incident, Lighting, Point, Shaded};
 use std::time::Instant;
 
@@ -92,6 +94,8 @@ pub struct Decomposed {
     pub light: OctahedralLight,
     /// What its surroundings look like from its surface; `None` with [`Visibility::None`] and [`Visibility::Trace`].
     pub probes: Option<ProbeSet>,
+    /// How those are looked up.
+    pub probe_config: ProbeConfig,
     /// How it went.
     pub report: DecomposeReport,
 }
@@ -123,8 +127,6 @@ const INITIAL_ROUGHNESS: f32 = 0.5;
 const INITIAL_METALLIC: f32 = 0.1;
 /// Learning rates end at this share of where they start.
 const FINAL_RATE: f32 = 0.1;
-/// Side of the table from which light directions are proposed.
-const PROPOSAL_SIZE: usize = 64;
 
 /// Decomposes a reconstructed object into material and light.
 ///
@@ -376,6 +378,7 @@ struct Trainer<'a> {
     gradients: SurfelGradients,
     photometric: Photometric,
     shaded: Shaded,
+    texel_shares: Vec<f32>,
     shading_seconds: f64,
     points_shaded: usize,
 }
@@ -398,6 +401,7 @@ impl<'a> Trainer<'a> {
             gradients: SurfelGradients::default(),
             photometric: Photometric::default(),
             shaded: Shaded::default(),
+            texel_shares: scale::texel_shares(config.light_size),
             shading_seconds: 0.0,
             points_shaded: 0,
         }
@@ -414,7 +418,8 @@ impl<'a> Trainer<'a> {
     fn step(&mut self, state: &mut State, progress: f32) {
         let c = self.config;
         let light = state.pyramid.to_light();
-        let proposal = proposal_of(&light);
+        let seed = (u64::from(state.iteration) << 20) ^ c.seed.rotate_left(40);
+        let proposal = Proposal::new(&light, seed);
         let mut points = Vec::new();
         let mut works = Vec::with_capacity(c.patches);
         for _ in 0..c.patches {
@@ -431,7 +436,6 @@ impl<'a> Trainer<'a> {
             let pixels = shading_points(&frame, &patch.camera, &mut points);
             works.push(Work { patch, frame, workspace, pixels, first });
         }
-        let seed = (u64::from(state.iteration) << 20) ^ c.seed.rotate_left(40);
         // While a step looks textures up, the moving ones stand in the set, and the goal waits.
         let goal = match &mut self.scene.probes {
             Some(set) if !state.textures.is_empty() => {
@@ -480,7 +484,8 @@ impl<'a> Trainer<'a> {
         self.gradients.reset(&state.cloud);
         for (work, mut gradient) in works.into_iter().zip(gradients) {
             let Work { patch, frame, mut workspace, pixels, first } = work;
-            plane_gradients(&frame, &pixels, &grad_points[first..first + pixels.len()], &mut gradient);
+            let range = first..first + pixels.len();
+            plane_gradients(&frame, &pixels, &points[range.clone()], &grad_points[range], &mut gradient);
             backward(
                 &state.cloud,
                 &patch.camera,
@@ -520,7 +525,7 @@ impl<'a> Trainer<'a> {
             grad.metallic += c.lambertian_weight * share * f32::from(point.material.metallic > 0.0);
             grad.albedo += pull * share * scale::LUMINANCE;
         }
-        scale::neutral_prior(light, c.scale_weight, grad_light);
+        scale::neutral_prior(light, &self.texel_shares, c.scale_weight, grad_light);
     }
 
     fn apply(
@@ -618,7 +623,7 @@ impl<'a> Trainer<'a> {
         let mut points = Vec::new();
         let pixels = shading_points(&frame, &camera, &mut points);
         let light = state.pyramid.to_light();
-        let proposal = proposal_of(&light);
+        let proposal = Proposal::new(&light, 0);
         let incident = Self::incident(&self.scene);
         let lighting = Lighting { light: &light, proposal: &proposal, incident, rays: 64, seed: 0 };
         let mut shaded = Shaded::default();
@@ -631,21 +636,6 @@ impl<'a> Trainer<'a> {
         }
         (camera.name, image)
     }
-}
-
-/// The table from which light directions are proposed: the light's means over square blocks.
-fn proposal_of(light: &OctahedralLight) -> OctahedralSampler {
-    let size = PROPOSAL_SIZE.min(light.size());
-    let block = light.size() / size;
-    let mut texels = vec![0.0f32; 3 * size * size];
-    for (i, texel) in light.texels().chunks_exact(3).enumerate() {
-        let (x, y) = (i % light.size() / block, i / light.size() / block);
-        for c in 0..3 {
-            texels[3 * (y * size + x) + c] += texel[c] / (block * block) as f32;
-        }
-    }
-    let coarse = OctahedralLight::from_texels(size, texels).unwrap_or_else(|_| light.clone());
-    OctahedralSampler::new(&coarse, Importance::Exact)
 }
 
 /// Material columns as rows of albedo RGB, roughness, metallic.
@@ -662,6 +652,34 @@ fn deinterleave(rows: &[f32], m: &mut MaterialColumns) {
     }
 }
 
+/// Least cosine between the shading normal and the view.
+const LEAST_FACING: f32 = 0.02;
+
+/// Unit normal to shade with: the blended normal N at unit length, bent towards the eye where it faces away from it or
+/// nearly so (hard case 27), as it does along silhouettes: `n′ = n + max(0, ε − n·v) v`, normalised. `None` for a zero
+/// normal. Gradient: [`shading_normal_vjp`]; it kinks where the bend begins.
+fn shading_normal(sum: Vec3, view: Vec3) -> Option<Vec3> {
+    let n = sum.try_normalize()?;
+    let lack = LEAST_FACING - n.dot(view);
+    if lack > 0.0 { (n + lack * view).try_normalize() } else { Some(n) }
+}
+
+/// Gradient of [`shading_normal`] with respect to `sum`.
+fn shading_normal_vjp(sum: Vec3, view: Vec3, grad: Vec3) -> Vec3 {
+    let length = sum.length();
+    let n = sum / length;
+    let lack = LEAST_FACING - n.dot(view);
+    let grad = if lack > 0.0 {
+        let bent = n + lack * view;
+        let unit = bent.normalize();
+        let grad = (grad - unit * unit.dot(grad)) / bent.length();
+        grad - view * view.dot(grad)
+    } else {
+        grad
+    };
+    (grad - n * n.dot(grad)) / length
+}
+
 /// Shading points of a G-buffer, one a pixel that has a surface (weight above 0.05 and a normal towards the eye); their
 /// pixels are returned. Material and depth are the planes over the weight (ComGS §3.1: unbiased), normals at unit length.
 pub fn shading_points(frame: &Frame, camera: &comgs_geom::Camera, points: &mut Vec<Point>) -> Vec<u32> {
@@ -674,15 +692,16 @@ pub fn shading_points(frame: &Frame, camera: &comgs_geom::Camera, points: &mut V
         if !(w > MIN_WEIGHT) {
             continue;
         }
-        let Some(n) = Vec3::from_slice(&normal.data[3 * i..]).try_normalize() else { continue };
         let (x, y) = (i % frame.weight.width, i / frame.weight.width);
         let ray = camera.ray_world(x as f64 + 0.5, y as f64 + 0.5);
+        let view = -ray.normalize().as_vec3();
+        let Some(n) = shading_normal(Vec3::from_slice(&normal.data[3 * i..]), view) else { continue };
         let position = (camera.centre() + ray * f64::from(depth.data[i] / w)).as_vec3();
         let m = &material.data[5 * i..5 * i + 5];
         points.push(Point {
             position,
             normal: n,
-            view: -ray.normalize().as_vec3(),
+            view,
             material: Material {
                 albedo: Vec3::new(m[0], m[1], m[2]) / w,
                 roughness: m[3] / w,
@@ -741,10 +760,11 @@ fn patch_loss(
     (value.mse_srgb, gradient)
 }
 
-/// Carries gradients of shading points to the premultiplied planes: `m = M/W` and `n = N/|N|`.
+/// Carries gradients of shading points to the premultiplied planes: `m = M/W`, and n by [`shading_normal`].
 fn plane_gradients(
     frame: &Frame,
     pixels: &[u32],
+    points: &[Point],
     grad_points: &[shade::PointGradient],
     gradient: &mut FrameGradient,
 ) {
@@ -752,13 +772,10 @@ fn plane_gradients(
     let FrameGradient { weight: Some(grad_w), normal: Some(grad_n), material: Some(grad_m), .. } = gradient else {
         return;
     };
-    for (&i, g) in pixels.iter().zip(grad_points) {
+    for ((&i, point), g) in pixels.iter().zip(points).zip(grad_points) {
         let i = i as usize;
         let w = frame.weight.data[i];
-        let sum = Vec3::from_slice(&normal.data[3 * i..]);
-        let length = sum.length();
-        let n = sum / length;
-        let g_n = (g.normal - n * n.dot(g.normal)) / length;
+        let g_n = shading_normal_vjp(Vec3::from_slice(&normal.data[3 * i..]), point.view, g.normal);
         let g_m = [g.albedo.x, g.albedo.y, g.albedo.z, g.roughness, g.metallic];
         for k in 0..3 {
             grad_n.data[3 * i + k] += g_n[k];
@@ -826,8 +843,8 @@ fn finish(
     if state.dropped_gradients > 0 {
         report.warnings.push(format!("{} non-finite gradient entries were dropped", state.dropped_gradients));
     }
-    let mut probes = trainer.scene.probes;
-    if let Some(set) = &mut probes
+    let mut set = trainer.scene.probes;
+    if let Some(set) = &mut set
         && !state.textures.is_empty()
     {
         set.texels = state.textures;
@@ -836,7 +853,7 @@ fn finish(
     report.train_psnr_db = state.psnr_db;
     report.dropped_gradients = state.dropped_gradients;
     report.seconds = start.elapsed().as_secs_f64();
-    Ok(Decomposed { cloud, light, probes, report })
+    Ok(Decomposed { cloud, light, probes: set, probe_config: probes::probe_config(config), report })
 }
 
 /// Albedo that a view shows at a pixel; `None` where it shows nothing.

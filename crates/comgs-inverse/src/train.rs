@@ -613,6 +613,10 @@ impl<'a> Trainer<'a> {
             ) + opacities.step(&mut cloud.opacity_logits, &g.opacity_logits, c.opacity_rate * late, t, &adam)
                 + harmonics.step_rows(&mut cloud.sh, &g.sh, &sh_rates, t, &adam);
         state.dropped_gradients += dropped as u64;
+        if c.max_sigma > 0.0 {
+            let top = c.max_sigma.ln();
+            cloud.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s = s.min(top));
+        }
     }
 
     fn densify(&self, state: &mut State, progress: f32) -> Result<(), TrainError> {

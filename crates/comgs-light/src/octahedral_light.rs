@@ -259,24 +259,24 @@ fn ratio(wanted: Vec3, got: Vec3) -> Vec3 {
 }
 
 /// ∫ of the interpolation weight of every texel over the sphere: what a texel counts in an integral of the interpolated
-/// map. Gauss's rule of two points in every quarter of a texel, scaled to 4π.
-pub(crate) fn interpolated_solid_angles(size: usize) -> Vec<f64> {
-    // Two points on each half of a texel, as fractions of it: ¼ ± 1/(4√3), ¾ ± 1/(4√3).
-    let offset = 0.25 / 3f32.sqrt();
-    let points = [0.25 - offset, 0.25 + offset, 0.75 - offset, 0.75 + offset];
+/// map. Gauss's rule of two points on halves of texels, cut further on maps below 64 because the solid angle per area
+/// has a kink along the folds; scaled to 4π.
+fn interpolated_solid_angles(size: usize) -> Vec<f64> {
+    let parts = size * 2 * 64usize.div_ceil(size);
+    // The two points of a part, as fractions of it.
+    let offset = 0.5 / 3f32.sqrt();
+    let place = |i: usize| {
+        let inside = if i % 2 == 0 { 0.5 - offset } else { 0.5 + offset };
+        ((i / 2) as f32 + inside) / parts as f32
+    };
     let mut weights = vec![0.0f64; size * size];
-    for row in 0..size {
-        for column in 0..size {
-            for y in points {
-                for x in points {
-                    let uv = Vec2::new(column as f32 + x, row as f32 + y) / size as f32;
-                    let direction = octahedral::direction(uv);
-                    let area = f64::from(octahedral::jacobian(direction));
-                    let footprint = octahedral::footprint(direction, size);
-                    for (texel, weight) in footprint.texels.into_iter().zip(footprint.weights) {
-                        weights[texel as usize] += area * f64::from(weight);
-                    }
-                }
+    for y in 0..2 * parts {
+        for x in 0..2 * parts {
+            let direction = octahedral::direction(Vec2::new(place(x), place(y)));
+            let area = f64::from(octahedral::jacobian(direction));
+            let footprint = octahedral::footprint(direction, size);
+            for (texel, weight) in footprint.texels.into_iter().zip(footprint.weights) {
+                weights[texel as usize] += area * f64::from(weight);
             }
         }
     }

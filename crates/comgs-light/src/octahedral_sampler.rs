@@ -1,6 +1,6 @@
 //! Importance sampling of an octahedral light.
 
-use crate::cumulative::{invert, normalise};
+use crate::cumulative::Cumulative;
 use crate::{EnvSample, OctahedralLight, luminance};
 use comgs_geom::{octahedral, sampling};
 use glam::{Vec2, Vec3};
@@ -34,10 +34,10 @@ pub struct OctahedralSampler {
     black: bool,
     /// q at texel centres (luminance, for [`Importance::EqualArea`]), scaled to an integral of 1 over the map.
     density: Vec<f32>,
-    /// Cumulative shares of the rows, `size + 1` values from 0 to 1.
-    rows: Vec<f64>,
-    /// Cumulative shares of the texels of each row, `size` times `size + 1` values.
-    columns: Vec<f64>,
+    /// The rows' shares, one table.
+    rows: Cumulative,
+    /// The shares of the texels of a row, a table for each.
+    columns: Cumulative,
 }
 
 impl OctahedralSampler {
@@ -55,24 +55,15 @@ impl OctahedralSampler {
                 f64::from(luminance(light.texel(t))) * f64::from(area)
             })
             .collect();
-        let mut rows = vec![0.0];
-        let mut columns = Vec::with_capacity(size * (size + 1));
-        for row in 0..size {
-            let start = columns.len();
-            let mut sum = 0.0;
-            columns.push(0.0);
-            for column in 0..size {
-                sum += match importance {
-                    Importance::Exact => mean(across(&around(&density, column, row, size))),
-                    Importance::EqualArea => density[row * size + column],
-                };
-                columns.push(sum);
-            }
-            normalise(&mut columns[start..]);
-            rows.push(rows[row] + sum);
-        }
-        let total = rows[size] / (size * size) as f64;
-        normalise(&mut rows);
+        let masses: Vec<f64> = (0..size * size)
+            .map(|t| match importance {
+                Importance::Exact => mean(across(&around(&density, t % size, t / size, size))),
+                Importance::EqualArea => density[t],
+            })
+            .collect();
+        let (columns, rows) = Cumulative::new(&masses, size);
+        let (rows, total) = Cumulative::new(&rows, size);
+        let total = total[0] / (size * size) as f64;
         let density = density.iter().map(|q| if total > 0.0 { (q / total) as f32 } else { 1.0 }).collect();
         Self { light: light.clone(), importance, black: !(total > 0.0), density, rows, columns }
     }
@@ -98,8 +89,8 @@ impl OctahedralSampler {
             return EnvSample { direction, radiance: Vec3::ZERO, pdf: 1.0 / (4.0 * PI) };
         }
         let size = self.light.size();
-        let (row, mut y) = invert(&self.rows, u.y);
-        let (column, mut x) = invert(&self.columns[row * (size + 1)..(row + 1) * (size + 1)], u.x);
+        let (row, mut y) = self.rows.invert(0, u.y);
+        let (column, mut x) = self.columns.invert(row, u.x);
         if self.importance == Importance::Exact {
             let q = around(&self.density, column, row, size);
             x = invert_hat(across(&q), x);
@@ -153,7 +144,15 @@ impl OctahedralSampler {
 }
 
 /// A texel and its neighbours, rows from above; past the edge they are those that the map continues with.
+#[inline]
 fn around<T: Copy + Into<f64>>(map: &[T], column: usize, row: usize, size: usize) -> [[f64; 3]; 3] {
+    let inner = 1..size.saturating_sub(1);
+    if inner.contains(&column) && inner.contains(&row) {
+        return [row - 1, row, row + 1].map(|row| {
+            let line = &map[row * size + column - 1..row * size + column + 2];
+            [line[0].into(), line[1].into(), line[2].into()]
+        });
+    }
     let (column, row) = (column as isize, row as isize);
     [-1, 0, 1].map(|y| [-1, 0, 1].map(|x| map[octahedral::neighbour(column + x, row + y, size)].into()))
 }

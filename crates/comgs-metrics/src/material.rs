@@ -1,7 +1,7 @@
 //! Errors of materials: albedo up to the factor that photographs cannot tell, roughness and metallic.
 //!
 //! A surface of albedo `a` under light `L` and one of `s·a` under `L / s` give the same (diffuse) photograph. Papers on
-//! inverse rendering (NeRFactor, TensoIR, R3DG, ComGS) therefore scale every channel of all estimated albedo images by
+//! inverse rendering (NeRFactor, TensoIR, R3DG) therefore scale every channel of all estimated albedo images by
 //! one factor a set before they compare; the figure without it says how well a method's prior for the factor works.
 //! Both are computed here, and they are only honest side by side.
 

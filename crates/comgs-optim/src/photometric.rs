@@ -27,16 +27,19 @@ pub struct Target {
     encoded: Vec<f32>,
     linear: Vec<f32>,
     valid: Option<Vec<f32>>,
+    /// Pixels that count.
+    count: usize,
 }
 
 /// Value of the loss and what a progress bar shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PhotometricValue {
-    /// Mean absolute difference (in the target's comparison space).
+    /// Mean absolute difference over the valid pixels (in the target's comparison space).
     pub l1: f32,
-    /// 1 − mean SSIM.
+    /// Sum of 1 − SSIM over the number of valid pixels. Pixels that are not valid are taken as equal to the target, so a
+    /// window that holds only such adds nothing.
     pub dssim: f32,
-    /// Mean squared difference of sRGB values clipped to [0, 1], for a PSNR.
+    /// Mean squared difference over the valid pixels of sRGB values clipped to [0, 1], for a PSNR.
     pub mse_srgb: f32,
 }
 
@@ -76,10 +79,12 @@ impl Target {
             assert_eq!((v.width, v.height), (linear.width, linear.height));
             v.data.clone()
         });
+        let counts = |v: &Vec<f32>| v.iter().filter(|v| **v > 0.5).count();
         Self {
             width: linear.width,
             height: linear.height,
             comparison,
+            count: valid.as_ref().map_or(n, counts),
             encoded: planar.iter().map(|&v| srgb_from_linear(v)).collect(),
             linear: if comparison == Comparison::Linear { planar } else { Vec::new() },
             valid,
@@ -100,7 +105,8 @@ impl Photometric {
     /// Value of Eq. 2 for a linear rendering, its gradient with respect to the rendering (added to `gradient`), and
     /// the absolute sRGB error a pixel (mean over channels, written to `error`).
     ///
-    /// L1 has a kink at equality (gradient 0 there); everything else is smooth.
+    /// All three terms are over the valid pixels only. L1 has a kink at equality (gradient 0 there); everything else is
+    /// smooth. Without a valid pixel value and gradient are 0.
     ///
     /// # Panics
     /// When sizes differ.
@@ -118,7 +124,9 @@ impl Photometric {
             buffer.clear();
             buffer.resize(3 * n, 0.0);
         }
-        let scale = 1.0 / (3 * n) as f32;
+        let scale = 1.0 / (3 * target.count.max(1)) as f32;
+        // SSIM comes as a mean over all pixels.
+        let ssim_scale = if target.count == 0 { 0.0 } else { n as f32 / target.count as f32 };
         // One pass a channel: encode, compare, and keep the slope of the encoding.
         let sums: Vec<[f64; 2]> = self
             .encoded
@@ -133,11 +141,12 @@ impl Photometric {
                     let x = rendering.data[i * 3 + c];
                     let e = srgb_from_linear(x);
                     let t = goal[i];
-                    let clip = |v: f32| v.clamp(0.0, 1.0);
-                    sums[1] += f64::from((clip(e) - clip(t)).powi(2));
-                    let ignored = target.valid.as_ref().is_some_and(|v| v[i] <= 0.5)
-                        || (target.comparison == Comparison::Srgb && t >= CLIPPED && e > t);
-                    if ignored {
+                    let invalid = target.valid.as_ref().is_some_and(|v| v[i] <= 0.5);
+                    if !invalid {
+                        let clip = |v: f32| v.clamp(0.0, 1.0);
+                        sums[1] += f64::from((clip(e) - clip(t)).powi(2));
+                    }
+                    if invalid || (target.comparison == Comparison::Srgb && t >= CLIPPED && e > t) {
                         encoded[i] = t;
                         continue;
                     }
@@ -171,6 +180,7 @@ impl Photometric {
         }
         let (encoded, slope, l1, ssim_gradient) =
             (&self.encoded, &self.slope, &self.l1_gradient, &self.ssim_gradient);
+        let weight = ssim_weight * ssim_scale / 3.0;
         gradient
             .data
             .par_chunks_mut(3 * target.width)
@@ -182,7 +192,7 @@ impl Photometric {
                     let mut sum = 0.0;
                     for c in 0..3 {
                         let k = c * n + i;
-                        gradient[x * 3 + c] += l1[k] - ssim_weight / 3.0 * ssim_gradient[k] * slope[k];
+                        gradient[x * 3 + c] += l1[k] - weight * ssim_gradient[k] * slope[k];
                         sum += (encoded[k] - target.encoded[k]).abs();
                     }
                     error[x] = sum / 3.0;
@@ -190,10 +200,11 @@ impl Photometric {
             });
         let l1: f64 = sums.iter().map(|s| s[0]).sum();
         let mse: f64 = sums.iter().map(|s| s[1]).sum();
+        let samples = (3 * target.count.max(1)) as f64;
         PhotometricValue {
-            l1: (l1 / (3 * n) as f64) as f32,
-            dssim: 1.0 - ssim,
-            mse_srgb: (mse / (3 * n) as f64) as f32,
+            l1: (l1 / samples) as f32,
+            dssim: (1.0 - ssim) * ssim_scale,
+            mse_srgb: (mse / samples) as f32,
         }
     }
 }
@@ -208,11 +219,23 @@ mod tests {
         Image::from_data(width, height, 3, (0..3 * width * height).map(|_| scale * rng.uniform()).collect())
     }
 
-    /// Goal: the gradient is the derivative of the value, for both comparisons, by central differences.
+    /// The left half of a 14 × 12 picture.
+    fn half_valid() -> Image {
+        Image::from_data(14, 12, 1, (0..14 * 12).map(|i| f32::from(u8::from(i % 14 < 7))).collect())
+    }
+
+    /// Goal: the gradient is the derivative of the value, for both comparisons and with a part of the picture that does
+    /// not count, by central differences.
     #[test]
     fn gradient_matches_differences() {
-        for comparison in [Comparison::Srgb, Comparison::Linear] {
-            let target = Target::new(&random(14, 12, 1, 0.9), None, comparison);
+        let half = half_valid();
+        for (comparison, valid) in [
+            (Comparison::Srgb, None),
+            (Comparison::Linear, None),
+            (Comparison::Srgb, Some(&half)),
+            (Comparison::Linear, Some(&half)),
+        ] {
+            let target = Target::new(&random(14, 12, 1, 0.9), valid, comparison);
             let rendering = random(14, 12, 2, 0.9).map(|v| v + 0.02);
             let mut loss = Photometric::default();
             let mut gradient = Image::zeros(14, 12, 3);
@@ -236,6 +259,33 @@ mod tests {
                 gradient.data.iter().zip(&direction.data).map(|(g, d)| f64::from(*g) * f64::from(*d)).sum();
             assert!((numeric - analytic).abs() < 0.02 * numeric.abs().max(0.01), "{numeric} {analytic}");
         }
+    }
+
+    /// Goal: pixels that do not count change neither value nor gradient, and all means are over those that do: half a
+    /// picture that is off by 0.1 everywhere has the same L1 and MSE as a whole one.
+    #[test]
+    fn means_are_over_valid_pixels() {
+        let half = half_valid();
+        let evaluate = |rendering: &Image, valid: Option<&Image>| {
+            let target = Target::new(&Image::filled(14, 12, 3, 0.3), valid, Comparison::Linear);
+            let (mut gradient, mut error) = (Image::zeros(14, 12, 3), Image::zeros(14, 12, 1));
+            let value = Photometric::default().evaluate(rendering, &target, 0.2, &mut gradient, &mut error);
+            (value, gradient)
+        };
+        let off = Image::filled(14, 12, 3, 0.4);
+        let mut wild = off.clone();
+        for i in (0..14 * 12).filter(|i| i % 14 >= 7) {
+            wild.data[3 * i..3 * i + 3].fill(7.0);
+        }
+        let (whole, _) = evaluate(&off, None);
+        let (left, gradient) = evaluate(&off, Some(&half));
+        // f32 sums of equal numbers.
+        assert!((left.l1 - whole.l1).abs() < 1e-6 && (left.l1 - 0.1).abs() < 1e-6, "{left:?} {whole:?}");
+        assert!((left.mse_srgb - whole.mse_srgb).abs() < 1e-7, "{left:?} {whole:?}");
+        assert_eq!((left, gradient), evaluate(&wild, Some(&half)));
+        let (none, gradient) = evaluate(&wild, Some(&Image::zeros(14, 12, 1)));
+        assert_eq!((none.l1, none.dssim, none.mse_srgb), (0.0, 0.0, 0.0));
+        assert!(gradient.data.iter().all(|g| *g == 0.0));
     }
 
     /// Goal: clipped photo pixels do not punish brighter renderings, invalid pixels have no gradient.

@@ -14,6 +14,16 @@ pub enum PipelineError {
         /// The system's words.
         reason: std::io::Error,
     },
+    /// Results cannot be written where they should go.
+    #[error("cannot {doing} the output folder {}: {reason}", folder.display())]
+    Output {
+        /// `create` or `write into`.
+        doing: &'static str,
+        /// The folder.
+        folder: PathBuf,
+        /// The system's words.
+        reason: std::io::Error,
+    },
     /// An input is not what the stage needs: what, expected, got.
     #[error("{what}: expected {expected}, got {got}")]
     Input {

@@ -21,6 +21,7 @@
 
 pub mod error;
 pub mod fingerprint;
+pub mod output;
 pub mod plot;
 pub mod progress;
 pub mod record;

@@ -1,8 +1,19 @@
 //! `run.json`: what was run, with what, how long it took, and what came out.
+//!
+//! A record belongs to one stage, and a stage cleans up only after itself: what an earlier run wrote is removed at the end
+//! of a run of the *same* stage, when it was not written again, nobody has changed it, and no other record claims it.
+//!
+//! | output | record |
+//! |---|---|
+//! | folder `out` | `out/run.json`; `out/<stage>.run.json` when another stage's record is there already |
+//! | file `env.exr` | `env.exr.<stage>.run.json` beside it |
+//! | folder that must hold nothing else | `<folder>.<stage>.run.json` beside it |
 
-use crate::{PipelineError, fingerprint::content_hash};
+use crate::{PipelineError, fingerprint::content_hash, output};
+use comgs_scene::Asset;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -60,13 +71,28 @@ pub struct RunRecord {
     pub outputs: Vec<OutputFile>,
 }
 
+/// Stages whose output folder is an asset. Others may not write into an asset, whose files are vouched for.
+const ASSET_STAGES: [&str; 3] = ["reconstruct", "decompose", "material"];
+
+/// What a run writes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Target {
+    /// Files in the run's folder.
+    Folder,
+    /// One file, perhaps with others beside it.
+    File(PathBuf),
+    /// A folder in the run's folder.
+    Beside,
+}
+
 /// A run in progress: collects timings and warnings, and becomes a [`RunRecord`].
 pub struct Run {
     record: RunRecord,
     folder: PathBuf,
     file: PathBuf,
+    target: Target,
     started: Instant,
-    /// What the run before this one wrote.
+    /// What the run of this stage before this one wrote.
     previous: Vec<OutputFile>,
 }
 
@@ -78,28 +104,36 @@ struct Partial {
 }
 
 impl Run {
-    /// Starts a run whose output is the folder `folder`, recorded in `folder/run.json`.
+    /// Starts a run whose output is the folder `folder`, recorded in `folder/run.json`, or in `folder/<stage>.run.json`
+    /// when `run.json` is not this stage's.
     #[must_use]
     pub fn in_folder(stage: &str, folder: &Path) -> Self {
-        Self::new(stage, folder.to_owned(), folder.join("run.json"))
+        let (shared, own) = (folder.join("run.json"), folder.join(format!("{stage}.run.json")));
+        let free = !shared.exists() || read_record(&shared).is_some_and(|r| r.stage == stage);
+        let file = if free && !own.exists() { shared } else { own };
+        Self::new(stage, folder.to_owned(), file, Target::Folder)
     }
 
-    /// Starts a run whose output is the file `path`, recorded beside it in `<stem>.run.json`.
+    /// Starts a run whose output is the file `path`, recorded beside it in `<file name>.<stage>.run.json`.
     #[must_use]
     pub fn for_file(stage: &str, path: &Path) -> Self {
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
-        Self::new(stage, folder, path.with_extension("run.json"))
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let folder = output::folder_of(path).to_owned();
+        let file = folder.join(format!("{name}.{stage}.run.json"));
+        Self::new(stage, folder, file, Target::File(path.to_owned()))
     }
 
-    /// Starts a run whose output is a folder that must hold nothing else; recorded beside it in `<folder>.run.json`.
+    /// Starts a run whose output is a folder that must hold nothing else; recorded beside it in
+    /// `<folder>.<stage>.run.json`.
     #[must_use]
     pub fn beside(stage: &str, folder: &Path) -> Self {
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
-        let parent = folder.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        Self::new(stage, parent.to_owned(), parent.join(format!("{name}.run.json")))
+        let parent = output::folder_of(folder).to_owned();
+        let file = parent.join(format!("{name}.{stage}.run.json"));
+        Self::new(stage, parent, file, Target::Beside)
     }
 
-    fn new(stage: &str, folder: PathBuf, file: PathBuf) -> Self {
+    fn new(stage: &str, folder: PathBuf, file: PathBuf, target: Target) -> Self {
         let record = RunRecord {
             comgs: crate::VERSION.to_owned(),
             stage: stage.to_owned(),
@@ -115,7 +149,7 @@ impl Run {
             results: Value::Null,
             outputs: Vec::new(),
         };
-        Self { record, folder, file, started: Instant::now(), previous: Vec::new() }
+        Self { record, folder, file, target, started: Instant::now(), previous: Vec::new() }
     }
 
     /// Where the record is or will be.
@@ -138,11 +172,46 @@ impl Run {
         (same && record.outputs.iter().all(|output| self.is_intact(output))).then_some(record)
     }
 
-    /// Whether a file is still as it was written.
+    /// Whether a file is still as it was written. One outside the folder never is: a record is data that anybody may have
+    /// written.
     fn is_intact(&self, output: &OutputFile) -> bool {
         let path = self.folder.join(&output.path);
-        std::fs::metadata(&path).is_ok_and(|m| m.len() == output.bytes)
+        output::is_below(&output.path)
+            && std::fs::metadata(&path).is_ok_and(|m| m.len() == output.bytes)
             && content_hash(&path).is_ok_and(|hash| hash == output.blake3)
+    }
+
+    /// Whether the output can be written and is nobody else's: asked before any work, and leaves nothing behind.
+    ///
+    /// # Errors
+    /// [`PipelineError::Output`] when the folder cannot be made or written into; [`PipelineError::Input`] when it is an
+    /// asset and this stage makes none, or when the file is one of an asset's.
+    pub fn check_output(&self) -> Result<(), PipelineError> {
+        let stage = &self.record.stage;
+        if self.target == Target::Folder
+            && Asset::is_asset(&self.folder)
+            && !ASSET_STAGES.contains(&stage.as_str())
+        {
+            return Err(PipelineError::input(
+                format!("the output of `{stage}`"),
+                "a folder of its own",
+                format!("an asset, {}", self.folder.display()),
+            ));
+        }
+        let Target::File(path) = &self.target else { return output::check_folder(&self.folder) };
+        let ours = || {
+            read_record(&self.file).is_some_and(|r| {
+                r.stage == *stage && r.outputs.iter().any(|o| self.folder.join(&o.path) == *path)
+            })
+        };
+        if Asset::is_asset(&self.folder) && path.exists() && !ours() {
+            return Err(PipelineError::input(
+                format!("the output of `{stage}`"),
+                "a file of its own",
+                format!("a file of an asset, {}", path.display()),
+            ));
+        }
+        output::check_file(path)
     }
 
     /// Where an interrupted run keeps what it had finished.
@@ -175,14 +244,15 @@ impl Run {
         write_json(&self.partial_file(), &partial)
     }
 
-    /// Removes an old record before outputs are touched, so that an interrupted run leaves none. What the old run wrote
-    /// stays until the new one ends, and is then removed where it was not written again.
+    /// Removes this stage's old record before outputs are touched, so that an interrupted run leaves none. What the old
+    /// run wrote stays until the new one ends, and is then removed where it was not written again.
     ///
     /// # Errors
-    /// [`PipelineError::Io`] when the folder cannot be made or the record not removed.
+    /// As [`Run::check_output`], and [`PipelineError::Io`] when the record cannot be removed.
     pub fn invalidate(&mut self) -> Result<(), PipelineError> {
+        self.check_output()?;
         std::fs::create_dir_all(&self.folder).map_err(|e| PipelineError::io(&self.folder, e))?;
-        if let Some(old) = read_record(&self.file) {
+        if let Some(old) = read_record(&self.file).filter(|old| old.stage == self.record.stage) {
             self.previous = old.outputs;
         }
         match std::fs::remove_file(&self.file) {
@@ -266,7 +336,7 @@ impl Run {
         for path in paths {
             if path.is_dir() {
                 self.output_folder(&path)?;
-            } else if path != self.file {
+            } else if !is_record(&path) {
                 self.output(&path)?;
             }
         }
@@ -285,6 +355,13 @@ impl Run {
         &self.record.timings
     }
 
+    /// What the other records of the folder claim.
+    fn others(&self) -> BTreeSet<String> {
+        let entries = std::fs::read_dir(&self.folder).into_iter().flatten().flatten();
+        let records = entries.map(|e| e.path()).filter(|path| *path != self.file && is_record(path));
+        records.filter_map(|path| read_record(&path)).flat_map(|r| r.outputs).map(|o| o.path).collect()
+    }
+
     /// Writes the record.
     ///
     /// # Errors
@@ -292,10 +369,13 @@ impl Run {
     pub fn finish(mut self) -> Result<RunRecord, PipelineError> {
         self.record.seconds = self.started.elapsed().as_secs_f64();
         self.record.peak_memory_bytes = peak_memory_bytes();
-        for old in &self.previous {
-            // Frames of cameras that are gone would look like results of this run. Files that somebody has changed
-            // since are theirs.
-            if !self.record.outputs.iter().any(|new| new.path == old.path) && self.is_intact(old) {
+        // Frames of cameras that are gone would look like results of this run. Files that somebody has changed since are
+        // theirs.
+        let mut left: Vec<&OutputFile> = self.previous.iter().collect();
+        left.retain(|old| !self.record.outputs.iter().any(|new| new.path == old.path) && self.is_intact(old));
+        if !left.is_empty() {
+            let others = self.others();
+            for old in left.iter().filter(|old| !others.contains(&old.path)) {
                 let _ = std::fs::remove_file(self.folder.join(&old.path));
             }
         }
@@ -305,10 +385,32 @@ impl Run {
     }
 }
 
+/// Whether a file is named as records are.
+pub(crate) fn is_record(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    name == "run.json" || name.ends_with(".run.json")
+}
+
 /// Reads a record; `None` when there is none or it is damaged.
 #[must_use]
 pub fn read_record(file: &Path) -> Option<RunRecord> {
     serde_json::from_slice(&std::fs::read(file).ok()?).ok()
+}
+
+/// Brings what a record says of some of its outputs up to date, after a later stage has written them anew in place, so that
+/// the earlier stage still counts as done. A record that is not there, or is another stage's, is left alone.
+///
+/// # Errors
+/// [`PipelineError::Io`].
+pub fn refresh(file: &Path, stage: &str, outputs: &[&str]) -> Result<(), PipelineError> {
+    let Some(mut record) = read_record(file).filter(|r| r.stage == stage) else { return Ok(()) };
+    let folder = file.parent().unwrap_or(Path::new("."));
+    for output in record.outputs.iter_mut().filter(|o| outputs.contains(&o.path.as_str())) {
+        let path = folder.join(&output.path);
+        output.bytes = std::fs::metadata(&path).map_err(|e| PipelineError::io(&path, e))?.len();
+        output.blake3 = content_hash(&path)?;
+    }
+    write_json(file, &record)
 }
 
 /// Writes pretty JSON, whole or not at all.
@@ -403,6 +505,75 @@ mod tests {
         write(&mut run, "b");
         run.finish().unwrap();
         assert!(!folder.join("frames/a.png").exists());
+    }
+
+    /// Goal: a stage removes what it wrote itself and nothing else: not another stage's files in the same folder, not
+    /// what another record claims, not what a record names outside its folder.
+    #[test]
+    fn a_stage_cleans_up_only_after_itself() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join("out");
+        let run = |stage: &str, names: &[&str]| {
+            let mut run = Run::in_folder(stage, &folder);
+            run.invalidate().unwrap();
+            for name in names {
+                std::fs::write(folder.join(name), name).unwrap();
+                run.output(&folder.join(name)).unwrap();
+            }
+            run.finish().unwrap();
+        };
+        let there = |name: &str| folder.join(name).exists();
+        run("render", &["a", "b", "shared"]);
+        run("compose", &["c", "shared"]);
+        assert!(there("a") && there("b"), "the first stage's files are not the second's to remove");
+        assert_eq!(read_record(&folder.join("run.json")).unwrap().stage, "render");
+        assert_eq!(read_record(&folder.join("compose.run.json")).unwrap().stage, "compose");
+        run("render", &["a"]);
+        assert!(there("a") && !there("b") && there("c"), "its own files that are gone are removed");
+        assert!(there("shared"), "what another record claims stays");
+
+        // A record is data: one that names a file elsewhere has it neither reused nor removed.
+        let precious = root.path().join("precious");
+        std::fs::write(&precious, b"precious").unwrap();
+        for path in ["../precious", precious.to_str().unwrap()] {
+            let mut record = read_record(&folder.join("run.json")).unwrap();
+            record.fingerprint = "x".into();
+            record.outputs =
+                vec![OutputFile { path: path.into(), blake3: content_hash(&precious).unwrap(), bytes: 8 }];
+            write_json(&folder.join("run.json"), &record).unwrap();
+            assert!(Run::in_folder("render", &folder).reusable("x").is_none());
+            run("render", &["a"]);
+            assert!(precious.exists(), "{path}");
+        }
+    }
+
+    /// Goal: two files of one stem have records of their own; a file of an asset is not overwritten, and a stage that
+    /// makes no assets does not write into one.
+    #[test]
+    fn records_and_assets_are_kept_apart() {
+        let root = tempfile::tempdir().unwrap();
+        let (json, exr) = (root.path().join("foo.json"), root.path().join("foo.exr"));
+        let files =
+            [Run::for_file("place", &json), Run::for_file("light", &exr), Run::beside("synth", &json)];
+        let mut names: Vec<_> = files.iter().map(|r| r.file().to_owned()).collect();
+        names.dedup();
+        assert_eq!(names.len(), 3, "{names:?}");
+
+        let asset = root.path().join("cow.asset");
+        std::fs::create_dir_all(&asset).unwrap();
+        std::fs::write(asset.join("asset.json"), b"{}").unwrap();
+        let text = Run::in_folder("render", &asset).invalidate().unwrap_err().to_string();
+        assert!(text.contains("an asset, ") && text.ends_with("cow.asset"), "{text}");
+        Run::in_folder("reconstruct", &asset).check_output().unwrap();
+        assert!(Run::for_file("place", &asset.join("asset.json")).check_output().is_err());
+        let new = asset.join("transform.json");
+        for _ in 0..2 {
+            let mut run = Run::for_file("place", &new);
+            run.invalidate().unwrap();
+            std::fs::write(&new, b"{}").unwrap();
+            run.output(&new).unwrap();
+            run.finish().unwrap();
+        }
     }
 
     /// Goal: the record holds what the issue asks for.

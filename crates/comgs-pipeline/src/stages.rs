@@ -1,6 +1,7 @@
 //! The stages, one module each, in the order of the flow.
 
 pub mod compose;
+pub mod decompose;
 pub mod demo;
 pub mod eval;
 pub mod info;

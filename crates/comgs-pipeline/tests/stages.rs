@@ -41,7 +41,7 @@ fn place_by_point_and_by_pixel() {
     let by_pixel = placed(root.path(), &world, at).unwrap();
     let off = by_pixel.world_from_object.translation.distance(by_point.world_from_object.translation);
     assert!(off < 0.05, "{off}");
-    assert!(root.path().join("transform.run.json").is_file());
+    assert!(root.path().join("transform.json.place.run.json").is_file());
 }
 
 /// Goal: sky, a view that is not there and a place in mid-air are told with their figures (hard case 33).
@@ -58,7 +58,7 @@ fn odd_places_are_told() {
     assert!(fail("00003", 64.0, 1.0).contains("64×48"), "{}", fail("00003", 64.0, 1.0));
     let floating = placed(root.path(), &world, place::At::Point([0.0, 0.0, 0.3])).unwrap();
     assert!(floating.report.warnings[0].contains("floats"), "{:?}", floating.report);
-    let record = read_record(&root.path().join("transform.run.json")).unwrap();
+    let record = read_record(&root.path().join("transform.json.place.run.json")).unwrap();
     assert_eq!(record.warnings, floating.report.warnings);
 }
 
@@ -344,7 +344,7 @@ fn info_on_everything() {
         (world.scene.join("surfels.ply"), "PLY of surfels"),
         (world.cameras.clone(), "camera list"),
         (root.path().join("transform.json"), "placement"),
-        (root.path().join("transform.run.json"), "place"),
+        (root.path().join("transform.json.place.run.json"), "place"),
         (out("env.exr"), "2:1"),
         (out("layers/00000.exr"), "shadow.G:half"),
         (out("frames/00000.png"), "64×48"),

@@ -5,8 +5,9 @@ use crate::blend::{TILE_PIXELS, TileInput, TileOutput, blend_tile};
 use crate::blend_vjp::{RECORD_BASE, TileGradient, blend_tile_vjp};
 use crate::bounds::{TILE, cover};
 use crate::color::{radiance, radiance_vjp};
-use crate::config::{Planes, RasterConfig};
+use crate::config::{Order, Planes, RasterConfig};
 use crate::frame::{Frame, FrameGradient};
+use crate::order::Placement;
 use crate::project::{CameraSurfel, Projected, ProjectedGradient, ScreenCamera, project, project_vjp};
 use comgs_geom::Camera;
 use comgs_image::Image;
@@ -23,6 +24,7 @@ const CHUNK: usize = 1024;
 #[derive(Debug, Default)]
 pub struct Workspace {
     projected: Vec<Projected>,
+    placements: Vec<Placement>,
     attributes: Vec<f32>,
     first_pair: Vec<u32>,
     tiles: Vec<u32>,
@@ -118,6 +120,9 @@ pub fn forward(
     let tiles_y = screen.height.div_ceil(TILE);
     let w = workspace;
     w.bins.build(&w.projected, &w.first_pair, &w.tiles, tiles_x * tiles_y);
+    if config.order == Order::Sheet {
+        w.bins.settle(&w.placements);
+    }
 
     let mut frame = Frame::zeros(screen.width, screen.height, planes);
     let state = &*w;
@@ -216,6 +221,7 @@ fn attribute_channels(planes: Planes) -> usize {
 #[derive(Default)]
 struct ChunkOutput {
     projected: Vec<Projected>,
+    placements: Vec<Placement>,
     attributes: Vec<f32>,
     tiles: Vec<u32>,
     counts: Vec<u32>,
@@ -242,12 +248,14 @@ fn project_all(
     let w = workspace;
     w.channels = channels;
     w.projected.clear();
+    w.placements.clear();
     w.attributes.clear();
     w.tiles.clear();
     w.first_pair.clear();
     w.first_pair.push(0);
     for c in &chunks {
         w.projected.extend_from_slice(&c.projected);
+        w.placements.extend_from_slice(&c.placements);
         w.attributes.extend_from_slice(&c.attributes);
         w.tiles.extend_from_slice(&c.tiles);
         for count in &c.counts {
@@ -307,6 +315,7 @@ fn project_one(
         return;
     }
     out.counts.push((out.tiles.len() - before) as u32);
+    out.placements.push(Placement::new(&geometry, projected.facing));
     out.projected.push(projected);
 }
 

@@ -82,6 +82,9 @@ impl Split {
 /// the list (COLMAP: of the image names), as is usual in the literature.
 pub const HOLD_OUT_EVERY: usize = 8;
 
+/// Fewest training views that anything can be reconstructed of: two see too few places twice.
+pub const MIN_VIEWS: usize = 3;
+
 /// How to open a capture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OpenOptions {

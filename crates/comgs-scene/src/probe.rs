@@ -86,6 +86,18 @@ pub fn asset(data: &[u8]) {
     let _ = CompositionRecord::parse(data, here());
 }
 
+/// Pictures: EXR, HDR, PNG, JPEG. What was decoded has as many samples as its size says, and a camera accepts that size.
+///
+/// # Panics
+/// When a decoded picture contradicts itself: a bug.
+pub fn image(data: &[u8]) {
+    let Ok(loaded) = comgs_image::read::decode(data, here()) else { return };
+    let (w, h) = (loaded.color.width, loaded.color.height);
+    assert!(w > 0 && h > 0 && w * h <= comgs_geom::camera::MAX_PIXELS);
+    assert_eq!(loaded.color.data.len(), w * h * loaded.color.channels);
+    assert!(loaded.alpha.is_none_or(|a| (a.width, a.height, a.channels) == (w, h, 1)));
+}
+
 fn use_listing(listing: &Listing) {
     for frame in listing.frames.iter().take(100) {
         let (width, height) = frame.size.unwrap_or((64, 48));

@@ -5,12 +5,13 @@ use comgs_geom::Rng;
 use comgs_scene::probe;
 use std::path::PathBuf;
 
-const FAMILIES: [(&str, fn(&[u8])); 5] = [
+const FAMILIES: [(&str, fn(&[u8])); 6] = [
     ("ply", probe::ply),
     ("colmap", probe::colmap),
     ("transforms", probe::transforms),
     ("syncom", probe::syncom),
     ("asset", probe::asset),
+    ("image", probe::image),
 ];
 
 /// Mutations of each family.

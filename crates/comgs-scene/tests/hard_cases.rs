@@ -56,6 +56,11 @@ fn case_14_captures_without_depth() {
     let one = tempfile::tempdir().unwrap();
     syncom(one.path(), &ring(1));
     assert_eq!(kinds(&check(one.path())), [ProblemKind::Views]);
+    let two = tempfile::tempdir().unwrap();
+    syncom(two.path(), &ring(2));
+    let report = check(two.path());
+    assert_eq!(kinds(&report), [ProblemKind::Views]);
+    assert!(report.to_string().contains("2 training views only") && !report.is_sound(), "{report}");
     // A single view can still be rendered or compared.
     assert_eq!(Capture::open(one.path(), Split::All).unwrap().views.len(), 1);
 
@@ -77,6 +82,56 @@ fn case_14_captures_without_depth() {
     let messages: Vec<&str> = report.problems.iter().map(|p| p.message.as_str()).collect();
     assert_eq!(messages, ["the image is black", "the image is saturated", "the image has no texture"]);
     assert!(report.is_sound(), "these are warnings");
+
+    let dark = tempfile::tempdir().unwrap();
+    syncom(dark.path(), &ring(4));
+    for i in 0..4 {
+        let path = dark.path().join(format!("images/{i:05}.png"));
+        comgs_image::write_png(&path, &Image::filled(WIDTH, HEIGHT, 3, 0.0)).unwrap();
+    }
+    let report = check_with(dark.path(), CheckDepth::Pixels);
+    assert!(report.to_string().contains("all training images are black"), "{report}");
+    assert_eq!((report.errors(), report.problems.len()), (1, 5), "{report}");
+}
+
+/// Goal (hard case 35): focal lengths that are not positive are refused in every format; legal intrinsics that nobody means
+/// (a principal point far outside, a field of view of a hundredth of a degree) are warned of.
+#[test]
+fn case_35_senseless_intrinsics() {
+    let report = |edit: &dyn Fn(&mut Camera)| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut cameras = ring(4);
+        edit(&mut cameras[1]);
+        syncom(folder.path(), &cameras);
+        check(folder.path())
+    };
+    for f in [0.0, -20.0] {
+        let report = report(&|c| c.fy = f);
+        assert_eq!(report.errors(), 1, "{report}");
+        assert!(report.to_string().contains("expected a positive"), "{report}");
+    }
+    for (edit, expected) in [
+        ((|c| c.cx = 1e5) as fn(&mut Camera), "cx is 100000"),
+        (|c| (c.fx, c.fy) = (2e5, 2e5), "field of view"),
+        (|c| c.fx = 0.01, "field of view"),
+    ] {
+        let report = report(&edit);
+        assert!(report.is_sound() && report.to_string().contains(expected), "{report}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let cameras = ring(3);
+    for i in 0..3 {
+        png(&folder.path().join(format!("images/{i}.png")), WIDTH, HEIGHT);
+    }
+    let files: Vec<String> = (0..3).map(|i| format!("images/{i}.png")).collect();
+    let frames: Vec<_> = files.iter().zip(&cameras).map(|(f, c)| (f.as_str(), c, "")).collect();
+    transforms(&folder.path().join("transforms.json"), r#""fl_x": 22, "fl_y": -22,"#, &frames);
+    assert!(check(folder.path()).to_string().contains("vertical focal length"));
+    let names: Vec<(&str, &Camera)> = ["0.png", "1.png", "2.png"].into_iter().zip(&cameras).collect();
+    std::fs::remove_file(folder.path().join("transforms.json")).unwrap();
+    let model = colmap((1, "PINHOLE"), &[20.0, -20.0, 12.0, 8.0], (24, 16), &names);
+    model.write(&folder.path().join("sparse/0"), true);
+    assert!(check(folder.path()).to_string().contains("not positive"));
 }
 
 /// Goal (hard case 34): deep, wide, endless and cut JSON is refused quickly.

@@ -76,7 +76,8 @@ impl RelitFrame {
     pub(super) fn assemble(frame: &Frame, lit: &[(u32, Lit, f32)], layers: bool) -> Self {
         let (width, height) = (frame.weight.width, frame.weight.height);
         let zeros = |channels| Image::zeros(width, height, channels);
-        let mut out = Self { radiance: zeros(3), weight: zeros(1), layers: None, stats: RelitStats::default() };
+        let mut out =
+            Self { radiance: zeros(3), weight: zeros(1), layers: None, stats: RelitStats::default() };
         out.stats.points = lit.len();
         for &(i, lit, _) in lit {
             let i = i as usize;

@@ -38,11 +38,8 @@ pub fn points(frame: &Frame, camera: &Camera) -> Vec<(u32, Point)> {
         let Some(normal) = Vec3::from_slice(&normal.data[3 * i..]).try_normalize() else { continue };
         let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
         let mean = |c: usize| material.data[5 * i + c] / weight;
-        let material = Material {
-            albedo: Vec3::new(mean(0), mean(1), mean(2)),
-            roughness: mean(3),
-            metallic: mean(4),
-        };
+        let material =
+            Material { albedo: Vec3::new(mean(0), mean(1), mean(2)), roughness: mean(3), metallic: mean(4) };
         let position = camera.unproject(x, y, f64::from(depth.data[i] / weight)).as_vec3();
         let view = -camera.ray_world(x, y).normalize().as_vec3();
         out.push((i as u32, Point { position, normal, view, material }));

@@ -32,8 +32,7 @@ pub fn radiance(
     let mut sum = Reference::default();
     for row in 0..rows {
         let polar = |row: f64| PI * row / rows as f64;
-        let omega =
-            2.0 * PI / columns as f64 * (polar(row as f64).cos() - polar(row as f64 + 1.0).cos());
+        let omega = 2.0 * PI / columns as f64 * (polar(row as f64).cos() - polar(row as f64 + 1.0).cos());
         let (sin, cos) = polar(row as f64 + 0.5).sin_cos();
         for column in 0..columns {
             let azimuth = PI * (1.0 - 2.0 * (column as f64 + 0.5) / columns as f64) + turn;

@@ -2,9 +2,9 @@
 
 use super::surroundings::Around;
 use super::{Heuristic, Point, RelightConfig};
+use comgs_geom::Rng;
 use comgs_geom::frame::world_from_tangent;
 use comgs_geom::sampling::{cosine_hemisphere, cosine_hemisphere_pdf, hammersley};
-use comgs_geom::Rng;
 use comgs_light::{EnvironmentSampler, Shading};
 use glam::{Vec2, Vec3};
 

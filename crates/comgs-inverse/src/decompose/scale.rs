@@ -31,14 +31,18 @@ pub fn albedo_prior(mean: f32, goal: f32, weight: f32) -> (f32, f32) {
 /// Luminance weights, as [`comgs_light::luminance`] has them.
 pub const LUMINANCE: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
 
-/// Prior on the light: `w Σ_c (ln m_c − mean_c ln m_c)²`, m the mean radiance over the sphere. Returns the value and adds the
-/// gradient with respect to the texels.
-pub fn neutral_prior(light: &OctahedralLight, weight: f32, grad_texels: &mut [f32]) -> f32 {
-    let size = light.size();
+/// Share of the sphere of every texel of an octahedral map, for [`neutral_prior`].
+#[must_use]
+pub fn texel_shares(size: usize) -> Vec<f32> {
     let share = |i: usize| texel_solid_angle(i % size, i / size, size) / (4.0 * std::f32::consts::PI);
-    let shares: Vec<f32> = (0..size * size).map(share).collect();
+    (0..size * size).map(share).collect()
+}
+
+/// Prior on the light: `w Σ_c (ln m_c − mean_c ln m_c)²`, m the mean radiance over the sphere by the texels' `shares`.
+/// Returns the value and adds the gradient with respect to the texels.
+pub fn neutral_prior(light: &OctahedralLight, shares: &[f32], weight: f32, grad_texels: &mut [f32]) -> f32 {
     let mut mean = [0.0f64; 3];
-    for (texel, share) in light.texels().chunks_exact(3).zip(&shares) {
+    for (texel, share) in light.texels().chunks_exact(3).zip(shares) {
         for c in 0..3 {
             mean[c] += f64::from(share * texel[c]);
         }
@@ -50,7 +54,7 @@ pub fn neutral_prior(light: &OctahedralLight, weight: f32, grad_texels: &mut [f3
     let middle = logs.iter().sum::<f64>() / 3.0;
     // The derivative of Σ (l_c − l̄)² with respect to l_c is 2 (l_c − l̄): the mean's own part cancels.
     let g: [f32; 3] = std::array::from_fn(|c| (2.0 * f64::from(weight) * (logs[c] - middle) / mean[c]) as f32);
-    for (grad, share) in grad_texels.chunks_exact_mut(3).zip(&shares) {
+    for (grad, share) in grad_texels.chunks_exact_mut(3).zip(shares) {
         for c in 0..3 {
             grad[c] += share * g[c];
         }
@@ -103,7 +107,7 @@ mod tests {
         let light = with(0, 0.0);
         let value = |l: &OctahedralLight| {
             let mut grad = vec![0.0; l.texels().len()];
-            (neutral_prior(l, 3.0, &mut grad), grad)
+            (neutral_prior(l, &texel_shares(16), 3.0, &mut grad), grad)
         };
         let (_, grad) = value(&light);
         for i in [0, 31, 100, 301] {

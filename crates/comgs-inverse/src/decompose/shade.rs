@@ -5,20 +5,22 @@
 //! ```
 //!
 //! The paper draws ω uniformly over the hemisphere (Eq. 7: p = 1/2π). Here a point's samples come from two proposals, the
-//! BRDF and a coarse table of the light, and p is the density of their mixture (the balance heuristic of Veach 1997),
-//! so that neither a polished surface nor a small lamp drowns in noise. Both proposals take points of one Hammersley
-//! set, turned by a random rotation a point.
+//! BRDF and a coarse table of the light ([`Proposal`]), and p is the density of their mixture (the balance heuristic of Veach 1997),
+//! so that neither a polished surface nor a small lamp drowns in noise. The BRDF's are a Hammersley set, turned by a random
+//! rotation a point; the light's are an even share of a stratified pool.
 //!
 //! Directions and densities are drawn from the current state but held fixed in the gradient: the estimator is unbiased for
 //! any fixed proposal, so the gradient of the sum is an unbiased estimate of the gradient of the integral. The shading
 //! point's position enters only through the incident light and is held fixed too.
 
+use super::proposal::Proposal;
 use comgs_geom::octahedral::footprint;
 use comgs_geom::{Rng, sampling};
 use comgs_light::brdf::{Material, MaterialGradient, Shading};
-use comgs_light::{OctahedralLight, OctahedralSampler};
+use comgs_light::OctahedralLight;
 use comgs_probe::{LookupConfig, Neighbours, ProbeIndex, ProbeSet};
 use comgs_trace::Tracer;
+use fearless_simd::{Level, Simd, dispatch};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -63,8 +65,8 @@ pub enum Incident<'a> {
 pub struct Lighting<'a> {
     /// L_dir.
     pub light: &'a OctahedralLight,
-    /// Proposal for light sampling: any table over the sphere with a density above 0 where light comes from.
-    pub proposal: &'a OctahedralSampler,
+    /// Directions that the light proposes.
+    pub proposal: &'a Proposal,
     /// O and L_in.
     pub incident: Incident<'a>,
     /// Samples a point, S.
@@ -112,6 +114,7 @@ const PARTS: usize = 16;
 
 /// Shades points; `shaded` keeps what [`shade_vjp`] needs and lends its memory to the next call.
 pub fn shade(points: &[Point], lighting: &Lighting<'_>, shaded: &mut Shaded) {
+    let level = Level::new();
     let stride = lighting.rays as usize;
     shaded.stride = stride;
     shaded.radiance.resize(points.len(), Vec3::ZERO);
@@ -133,7 +136,10 @@ pub fn shade(points: &[Point], lighting: &Lighting<'_>, shaded: &mut Shaded) {
             let i = chunk * CHUNK + k;
             let near = neighbours.as_mut().map(|n| &mut n[k]);
             let own = &mut samples[k * stride..(k + 1) * stride];
-            (*out, counts[k]) = shade_point(&points[i], i, lighting, &mut texture, near, own);
+            (*out, counts[k]) = dispatch!(level, simd => simd.vectorize(
+                #[inline(always)]
+                || shade_point(&points[i], i, lighting, &mut texture, near, own)
+            ));
         }
     });
 }
@@ -146,6 +152,7 @@ fn texture_of(lighting: &Lighting<'_>) -> Vec<[f32; 4]> {
     }
 }
 
+#[inline(always)]
 fn shade_point(
     point: &Point,
     index: usize,
@@ -156,7 +163,7 @@ fn shade_point(
 ) -> (Vec3, u32) {
     let shading = Shading::new(point.material, point.normal, point.view);
     let mut rng = Rng::stream(lighting.seed, index as u64);
-    let shift = Vec2::new(rng.uniform(), rng.uniform());
+    let (shift, start) = (Vec2::new(rng.uniform(), rng.uniform()), rng.uniform());
     let by_light = light_samples(lighting.rays);
     let by_brdf = lighting.rays - by_light;
     let mut resolution = 0;
@@ -168,21 +175,19 @@ fn shade_point(
     let mut sum = Vec3::ZERO;
     let mut count = 0;
     for s in 0..lighting.rays {
-        let direction = if s < by_light {
-            lighting.proposal.sample(sampling::hammersley(s, by_light, shift)).direction
+        let (direction, pdf, direct) = if s < by_light {
+            let p = lighting.proposal.sample(s, by_light, start);
+            (p.direction, p.pdf, p.radiance)
         } else {
-            match by_lobe(&shading, sampling::hammersley(s - by_light, by_brdf, shift)) {
-                Some(direction) => direction,
-                None => continue,
-            }
+            let u = sampling::hammersley(s - by_light, by_brdf, shift);
+            let Some(direction) = by_lobe(&shading, u) else { continue };
+            (direction, lighting.proposal.pdf(direction), lighting.light.radiance(direction))
         };
         let Some(reflection) = shading.reflect(direction) else { continue };
-        let density =
-            by_brdf as f32 * shading.pdf(direction) + by_light as f32 * lighting.proposal.pdf(direction);
+        let density = by_brdf as f32 * shading.pdf(direction) + by_light as f32 * pdf;
         if !(density > 0.0) {
             continue;
         }
-        let direct = lighting.light.radiance(direction);
         let [r, g, b, occlusion] = match lighting.incident {
             Incident::Open => [0.0; 4],
             Incident::Probes { .. } => comgs_probe::sample(texture, resolution, direction),
@@ -208,6 +213,7 @@ fn shade_point(
 }
 
 /// A direction drawn by the BRDF: the first number chooses the lobe and, stretched, the place in it.
+#[inline(always)]
 fn by_lobe(shading: &Shading, u: Vec2) -> Option<Vec3> {
     let chance = shading.specular_chance();
     let x = if u.x < chance { u.x / chance } else { (u.x - chance) / (1.0 - chance) };
@@ -232,6 +238,7 @@ pub fn shade_vjp(
     grad_light: &mut [f32],
     grad_probes: Option<&mut [[f32; 4]]>,
 ) -> Vec<PointGradient> {
+    let level = Level::new();
     let probes = match (lighting.incident, grad_probes) {
         (Incident::Probes { set, .. }, Some(grad)) => Some((set, grad)),
         _ => None,
@@ -252,7 +259,10 @@ pub fn shade_vjp(
                 let i = k * part + j;
                 let texture = textures.as_mut().map(|t| &mut t[j * texels..(j + 1) * texels]);
                 let texture = texture.filter(|t| !t.is_empty());
-                point_vjp(&points[i], i, lighting, shaded, grad_radiance[i], resolution, out, &mut sum, texture);
+                dispatch!(level, simd => simd.vectorize(
+                    #[inline(always)]
+                    || point_vjp(&points[i], i, lighting, shaded, grad_radiance[i], resolution, out, &mut sum, texture)
+                ));
             }
             sum
         })
@@ -271,6 +281,7 @@ pub fn shade_vjp(
     grad_points
 }
 
+#[inline(always)]
 fn point_vjp(
     point: &Point,
     index: usize,

@@ -81,7 +81,9 @@ pub(super) struct Placed {
 const GAPS: [f64; 7] = [3.0, 8.0, 15.0, 24.0, 35.0, 48.0, 64.0];
 /// From this gap on a leader is drawn.
 const LEADER: f64 = 8.0;
-const DIRECTIONS: usize = 16;
+const DIRECTIONS: usize = 32;
+/// Points nearer to one another than this, in pixels, are a crowd.
+const CROWD: f64 = 24.0;
 /// A label may lie on a line (it has a rim), but had better go as many pixels further off.
 const CROSSING: f64 = 12.0;
 /// A line that passes a label this close, in pixels, counts as behind it.
@@ -89,21 +91,47 @@ const AIR: f64 = 2.0;
 /// Right of the point is read first, above next; the last is straight down or to the left.
 const DIRECTION: f64 = 3.0;
 
-/// Places labels one after the other, each at its cheapest free spot; `None` where there is no such spot.
+/// Places labels; `None` where there is no room.
 ///
-/// No label leaves `area`, covers one of the `markers` or another label; lines (`segments`) may pass behind. Greedy, in
-/// the order given: the important ones come first.
+/// No label leaves `area`, covers one of the `markers` or another label; lines (`segments`) may pass behind. Labels are
+/// placed one after the other, the important ones first, each at its cheapest free spot. Where that leaves some without
+/// a place, labels of crowded points are sent further out, where a circle has room for more; of these attempts the
+/// first that places the most is taken.
 pub(super) fn place(
     wanted: &[Wanted],
     markers: &[Rect],
     segments: &[(P, P)],
     area: Rect,
 ) -> Vec<Option<Placed>> {
+    let mut best: Vec<Option<Placed>> = Vec::new();
+    for nearest in 0..GAPS.len() {
+        let placed = attempt(wanted, markers, segments, area, nearest);
+        let count = |p: &[Option<Placed>]| p.iter().flatten().count();
+        if best.is_empty() || count(&placed) > count(&best) {
+            best = placed;
+        }
+        if best.iter().all(Option::is_some) {
+            break;
+        }
+    }
+    best
+}
+
+/// One pass of [`place`] with crowded labels no nearer than the gap of index `nearest`.
+fn attempt(
+    wanted: &[Wanted],
+    markers: &[Rect],
+    segments: &[(P, P)],
+    area: Rect,
+    nearest: usize,
+) -> Vec<Option<Placed>> {
+    let distance = |a: P, b: P| (a.0 - b.0).hypot(a.1 - b.1);
     let mut placed: Vec<Option<Placed>> = Vec::with_capacity(wanted.len());
     let mut lines = segments.to_vec();
-    for label in wanted {
+    for (i, label) in wanted.iter().enumerate() {
+        let crowded = wanted.iter().enumerate().any(|(j, w)| j != i && distance(w.at, label.at) < CROWD);
         let mut best: Option<(f64, Placed)> = None;
-        for gap in GAPS {
+        for &gap in &GAPS[if crowded { nearest } else { 0 }..] {
             for direction in 0..DIRECTIONS {
                 let angle = std::f64::consts::TAU * direction as f64 / DIRECTIONS as f64;
                 let (dx, dy) = (angle.cos(), -angle.sin());
@@ -119,7 +147,8 @@ pub(super) fn place(
                 }
                 let leader = (gap >= LEADER).then(|| {
                     let rim = (label.at.0 + dx * label.radius, label.at.1 + dy * label.radius);
-                    (rim, rect.nearest(rim))
+                    let end = rect.nearest(rim);
+                    (rim, (end.0 - 2.0 * dx, end.1 - 2.0 * dy))
                 });
                 let others = || placed.iter().flatten();
                 if others().any(|o| rect.overlaps(&o.rect))

@@ -6,7 +6,7 @@ mod result;
 pub use plan::{Config, Input};
 
 use crate::stages::{eval, frames, light};
-use crate::{Context, PipelineError, Run, RunRecord, Status, source};
+use crate::{Context, PipelineError, Run, RunRecord, Status, output, source};
 use comgs_compose::{ComposedFrame, Composer, PlacedObject, layers::write_frame_layers};
 use comgs_image::write_png;
 use comgs_light::{EnvironmentMap, EnvironmentSampler};
@@ -40,9 +40,16 @@ pub struct Output {
 /// # Errors
 /// [`PipelineError`]; a transform that mirrors or shears is refused by name.
 pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Output, PipelineError> {
+    let mut run = Run::in_folder("compose", &input.output);
+    run.check_output()?;
+    for (what, path) in [("scene", Some(&input.scene)), ("ground truth", input.truth.as_ref())] {
+        path.map_or(Ok(()), |path| output::refuse_input(&input.output, what, path))?;
+    }
+    for path in &input.objects {
+        output::refuse_input(&input.output, "object", path)?;
+    }
     let plan = Plan::new(input, config, context)?;
     context.progress.begin("compose");
-    let mut run = Run::in_folder("compose", &input.output);
     let fingerprint = plan.fingerprint(input, config)?;
     let (frames_folder, report) = (input.output.join("frames"), input.output.join("report.html"));
     if let Some(record) = run.reusable(&fingerprint) {

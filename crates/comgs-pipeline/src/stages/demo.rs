@@ -73,6 +73,7 @@ pub fn find_assets() -> Option<PathBuf> {
 /// [`PipelineError`]; what is finished stays, and the next run goes on from there.
 pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Output, PipelineError> {
     let mut run = Run::in_folder("demo", &input.output);
+    run.check_output()?;
     let (object_capture, scene_capture) = (only(&input.assets, "object")?, only(&input.assets, "scene")?);
     let composition = only(&input.assets, "composition")?;
     let settings = reconstruct::Config {

@@ -7,7 +7,7 @@ pub mod table;
 pub use table::{Section, Table};
 
 use crate::source::Source;
-use crate::{Context, PipelineError, record::write_json};
+use crate::{Context, PipelineError, output, record::write_json};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -62,6 +62,9 @@ impl Evaluation {
 /// [`PipelineError`] when subject and truth do not fit together, or a picture cannot be read.
 pub fn run(input: &Input, context: &Context<'_>) -> Result<Evaluation, PipelineError> {
     context.progress.begin("eval");
+    if let Some(path) = &input.json {
+        output::check_file(path)?;
+    }
     let evaluation = if is_frames(&input.subject) {
         composition::evaluate(&input.subject, &input.against, context)?
     } else {

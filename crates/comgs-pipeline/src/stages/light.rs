@@ -1,8 +1,9 @@
 //! `light`: what shines on a place, as an HDR environment map.
 
+use crate::source::extension;
 use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, source};
 use comgs_image::transfer::linear_from_srgb;
-use comgs_image::{Image, write_exr, write_png};
+use comgs_image::{Image, write_exr, write_hdr, write_png};
 use comgs_panorama::{Completion, SweepConfig, sweep};
 use comgs_scene::AssetKind;
 use comgs_trace::{TraceConfig, Tracer};
@@ -16,7 +17,7 @@ use std::path::{Path, PathBuf};
 pub struct Input {
     /// Scene asset or PLY.
     pub scene: PathBuf,
-    /// The environment map to write (EXR); pictures go beside it.
+    /// The environment map to write (`.exr` or `.hdr`); pictures go beside it.
     pub output: PathBuf,
 }
 
@@ -80,24 +81,26 @@ pub struct Pictures {
 }
 
 impl Pictures {
-    /// Beside `env.exr`: `env.png`, `sweep.png`, `alpha.png`.
+    /// Beside `env.exr`: `env.png`, `env_sweep.png`, `env_alpha.png`. Two lights in one folder have pictures of their own.
     fn beside(environment: &Path) -> Self {
-        Self {
-            environment: environment.with_extension("png"),
-            sweep: environment.with_file_name("sweep.png"),
-            alpha: environment.with_file_name("alpha.png"),
-        }
+        let stem = environment.file_stem().unwrap_or_default().to_string_lossy();
+        let named = |suffix: &str| environment.with_file_name(format!("{stem}{suffix}.png"));
+        Self { environment: named(""), sweep: named("_sweep"), alpha: named("_alpha") }
     }
 }
 
-/// Sweeps the scene's radiance field around a point, completes it, and writes it as `env.exr` with pictures.
+/// Sweeps the scene's radiance field around a point, completes it, and writes it as `env.exr` (or `.hdr`) with pictures.
 ///
 /// # Errors
-/// [`PipelineError`]; a point from which nothing at all was reconstructed is refused, because there is nothing to
+/// [`PipelineError`]; an output of another type, which could not hold radiance, is refused. A point from which nothing at all was reconstructed is refused, because there is nothing to
 /// complete.
 pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Output, PipelineError> {
     context.progress.begin("light");
     let mut run = Run::for_file("light", &input.output);
+    if !matches!(extension(&input.output).as_str(), "exr" | "hdr") {
+        let expected = "a name that ends in .exr or .hdr (a picture cannot hold the light)";
+        return Err(PipelineError::input("-o", expected, input.output.display().to_string()));
+    }
     if !config.at.iter().all(|v| v.is_finite()) {
         return Err(PipelineError::input("--at", "three finite numbers", format!("{:?}", config.at)));
     }
@@ -111,6 +114,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         let coverage = record.results["coverage"].as_f64().unwrap_or(0.0);
         return Ok(Output { environment: input.output.clone(), pictures, coverage, reused: true, record });
     }
+    run.check_output()?;
     run.describe(fingerprint, json!({"scene": input.scene}), config, None)?;
     let asset = run.time("load", || source::load_surfels(&input.scene, AssetKind::Scene))?;
     let tracer = run.time("tree", || Tracer::new(&asset.surfels, &TraceConfig::default()))?;
@@ -159,7 +163,11 @@ fn save(
     rgb: &Image,
     alpha: &Image,
 ) -> Result<(), PipelineError> {
-    write_exr(&input.output, completed)?;
+    if extension(&input.output) == "hdr" {
+        write_hdr(&input.output, completed)?;
+    } else {
+        write_exr(&input.output, completed)?;
+    }
     write_png(&pictures.environment, completed)?;
     let mut over_black = rgb.clone();
     for (pixel, a) in over_black.data.chunks_exact_mut(3).zip(&alpha.data) {

@@ -1,15 +1,20 @@
 //! `material`: a decomposed asset with another material.
 
+mod edit;
+mod preset;
+
+pub use edit::{AlbedoEdit, edit};
+pub use preset::{PATTERN_RANGE, PRESETS, Preset, PresetValues};
+
 use crate::source::Source;
 use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, source};
 use comgs_scene::asset::{ASSET_FILE, ExtraFile, SURFELS_FILE};
 use comgs_scene::{Asset, AssetKind};
-use comgs_surfel::activation::{logit, sigmoid};
+use comgs_surfel::activation::sigmoid;
 use comgs_surfel::{MaterialColumns, ply};
 use serde::Serialize;
 use serde_json::json;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 /// Inputs of the stage.
 #[derive(Clone, Debug)]
@@ -18,159 +23,6 @@ pub struct Input {
     pub asset: PathBuf,
     /// Folder of the asset to make; not the input's own.
     pub output: PathBuf,
-}
-
-/// What becomes of the albedo.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum AlbedoEdit {
-    /// The same linear Rec.709 colour everywhere, each channel in [0, 1].
-    Set([f64; 3]),
-    /// The old colour times this factor, clamped to [0, 1].
-    Scale(f64),
-}
-
-impl FromStr for AlbedoEdit {
-    type Err = String;
-
-    /// `r,g,b` sets, one number scales.
-    fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Vec<f64> = text
-            .split(',')
-            .map(|part| part.trim().parse().map_err(|_| format!("{part:?} is not a number")))
-            .collect::<Result<_, _>>()?;
-        let edit = match numbers[..] {
-            [scale] => Self::Scale(scale),
-            [r, g, b] => Self::Set([r, g, b]),
-            _ => {
-                return Err(format!(
-                    "expected a linear colour r,g,b or one factor, got {} numbers",
-                    numbers.len()
-                ));
-            }
-        };
-        edit.check().map(|()| edit)
-    }
-}
-
-impl AlbedoEdit {
-    fn check(self) -> Result<(), String> {
-        match self {
-            Self::Set(rgb) if rgb.iter().all(|v| (0.0..=1.0).contains(v)) => Ok(()),
-            Self::Set(rgb) => Err(format!("expected a linear colour with channels from 0 to 1, got {rgb:?}")),
-            Self::Scale(s) if s.is_finite() && s >= 0.0 => Ok(()),
-            Self::Scale(s) => Err(format!("expected a factor that is not negative, got {s}")),
-        }
-    }
-}
-
-/// A material with a name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Preset {
-    /// Brushed copper.
-    Copper,
-    /// Polished silver.
-    Silver,
-    /// Grey stone that keeps the light and dark pattern of the object.
-    Stone,
-    /// Red paint without a gloss.
-    RedMatte,
-    /// Red lacquer.
-    RedGlossy,
-}
-
-/// What a [`Preset`] stands for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PresetValues {
-    /// Name on the command line.
-    pub name: &'static str,
-    /// Linear Rec.709; the reflectance at normal incidence (F0) of metals.
-    pub albedo: [f64; 3],
-    /// Roughness in [0, 1].
-    pub roughness: f64,
-    /// Metallic in [0, 1].
-    pub metallic: f64,
-    /// Whether the object's pattern shows through; see [`PATTERN_RANGE`].
-    pub pattern: bool,
-    /// Where the colour comes from. Roughnesses are chosen to look as the name says.
-    pub source: &'static str,
-}
-
-/// With a pattern, the albedo is the preset's times `clamp(Y / median Y, ½, 2)`, `Y` the luminance of a surfel's old
-/// albedo: stone stays stone, without the black and white that paint may have.
-pub const PATTERN_RANGE: [f64; 2] = [0.5, 2.0];
-
-/// F0 of metals: Adobe, "Metal material references" of the Standard Material (measured spectra as linear Rec.709),
-/// rounded to two digits.
-const METAL_SOURCE: &str = "F0 from measured spectra, Adobe Standard Material metal references, rounded";
-
-/// The presets.
-pub const PRESETS: [(Preset, PresetValues); 5] = [
-    (
-        Preset::Copper,
-        PresetValues {
-            name: "copper",
-            albedo: [1.0, 0.65, 0.53],
-            roughness: 0.3,
-            metallic: 1.0,
-            pattern: false,
-            source: METAL_SOURCE,
-        },
-    ),
-    (
-        Preset::Silver,
-        PresetValues {
-            name: "silver",
-            albedo: [0.99, 0.98, 0.97],
-            roughness: 0.15,
-            metallic: 1.0,
-            pattern: false,
-            source: METAL_SOURCE,
-        },
-    ),
-    (
-        Preset::Stone,
-        PresetValues {
-            name: "stone",
-            albedo: [0.3, 0.28, 0.25],
-            roughness: 0.9,
-            metallic: 0.0,
-            pattern: true,
-            source: "chosen: a warm grey in the middle of what natural stone reflects",
-        },
-    ),
-    (
-        Preset::RedMatte,
-        PresetValues {
-            name: "red-matte",
-            albedo: [0.6, 0.04, 0.03],
-            roughness: 0.85,
-            metallic: 0.0,
-            pattern: false,
-            source: "chosen: a saturated red paint",
-        },
-    ),
-    (
-        Preset::RedGlossy,
-        PresetValues {
-            name: "red-glossy",
-            albedo: [0.6, 0.04, 0.03],
-            roughness: 0.12,
-            metallic: 0.0,
-            pattern: false,
-            source: "chosen: the paint of red-matte under a clear coat",
-        },
-    ),
-];
-
-impl Preset {
-    /// What it stands for.
-    #[must_use]
-    pub fn values(self) -> PresetValues {
-        let [(_, first), ..] = PRESETS;
-        PRESETS.iter().find(|(preset, _)| *preset == self).map_or(first, |(_, values)| *values)
-    }
 }
 
 /// Knobs of the stage. The preset comes first; single values then replace its own.
@@ -392,62 +244,4 @@ fn save(asset: &mut Asset, cameras: Option<&Path>, output: &Path) -> Result<Vec<
     }
     asset.save_with(output, &extra)?;
     Ok(written)
-}
-
-/// The edited material, and how many surfels had an albedo above 1 that was clamped.
-#[must_use]
-pub fn edit(old: &MaterialColumns, config: &Config) -> (MaterialColumns, usize) {
-    let mut new = old.clone();
-    let preset = config.preset.map(Preset::values);
-    let mut clamped = 0;
-    if preset.is_some() || config.albedo.is_some() {
-        let colors: Vec<[f64; 3]> =
-            old.albedo_logits.iter().map(|a| a.map(|x| f64::from(sigmoid(x)))).collect();
-        let middle = median(colors.iter().map(luminance).collect());
-        for (logits, color) in new.albedo_logits.iter_mut().zip(&colors) {
-            let edited = edited_albedo(*color, middle, preset.as_ref(), config.albedo);
-            clamped += usize::from(edited.iter().any(|v| *v > 1.0));
-            *logits = edited.map(|v| logit(v.clamp(0.0, 1.0) as f32));
-        }
-    }
-    if let Some(roughness) = config.roughness.or(preset.map(|p| p.roughness)) {
-        new.roughness_logits.fill(logit(roughness as f32));
-    }
-    if let Some(metallic) = config.metallic.or(preset.map(|p| p.metallic)) {
-        new.metallic_logits.fill(logit(metallic as f32));
-    }
-    (new, clamped)
-}
-
-/// A surfel's albedo after preset and edit, not clamped; `middle` is the median luminance.
-fn edited_albedo(
-    color: [f64; 3],
-    middle: f64,
-    preset: Option<&PresetValues>,
-    edit: Option<AlbedoEdit>,
-) -> [f64; 3] {
-    let [low, high] = PATTERN_RANGE;
-    let base = match preset {
-        None => color,
-        Some(p) if p.pattern && middle > 0.0 => {
-            p.albedo.map(|v| v * (luminance(&color) / middle).clamp(low, high))
-        }
-        Some(p) => p.albedo,
-    };
-    match edit {
-        None => base,
-        Some(AlbedoEdit::Set(rgb)) => rgb,
-        Some(AlbedoEdit::Scale(s)) => base.map(|v| s * v),
-    }
-}
-
-/// Rec.709 luminance.
-fn luminance(rgb: &[f64; 3]) -> f64 {
-    0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
-}
-
-/// Middle value; the upper one of two; 0 of none.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

@@ -81,11 +81,15 @@ const SURFACE_WEIGHT: f32 = 0.5;
 pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Output, PipelineError> {
     context.progress.begin("place");
     let mut run = Run::for_file("place", &input.output);
+    if !config.yaw_deg.is_finite() {
+        return Err(PipelineError::input("--yaw", "a finite number of degrees", config.yaw_deg.to_string()));
+    }
     if let Some(size) = config.size
         && !(size > 0.0 && size.is_finite())
     {
         return Err(PipelineError::input("--size", "a positive number of scene units", size.to_string()));
     }
+    run.check_output()?;
     let scene = run.time("load", || source::load_surfels(&input.scene, AssetKind::Scene))?;
     let object = run.time("load", || source::load_surfels(&input.object, AssetKind::Object))?;
     let cameras = scene_cameras(input)?;

@@ -1,6 +1,6 @@
 //! `reconstruct`: a capture becomes an asset (step 1 of the paper: radiance and geometry).
 
-use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, Status, source};
+use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, Status, output, source};
 use comgs_image::{Encoding, Image, atomic, write_png};
 use comgs_inverse::{Kind, Observer, Quality, TrainConfig, TrainError, TrainStatus, TrainView, Trained};
 use comgs_scene::asset::{CaptureRecord, TrainingRecord};
@@ -104,11 +104,13 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
             .end(&format!("{}: unchanged since the last run; nothing to do", input.output.display()));
         return Ok(Output { asset: input.output.clone(), reused: true, record });
     }
+    output::refuse_input(&input.output, "capture", &input.capture)?;
+    run.check_output()?;
     run.describe(fingerprint, json!({"capture": input.capture}), config, Some(config.seed))?;
     for problem in capture.report.problems.iter().filter(|p| !p.path.as_os_str().is_empty()) {
         run.warn(context, problem.to_string());
     }
-    let views = run.time("load", || load(&capture, config, context))?;
+    let views = run.time("load", || load(&capture, config.max_width, context))?;
     let hdr = views.iter().all(|v| v.encoding == Encoding::Linear);
     let repaired: usize = views.iter().map(|v| v.repaired).sum();
     if repaired > 0 {
@@ -181,6 +183,12 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
 fn fingerprint(capture: &Capture, config: &Config) -> Result<String, PipelineError> {
     let mut fingerprint = Fingerprint::new("reconstruct");
     fingerprint.config("config", config)?;
+    add_capture(&mut fingerprint, capture)?;
+    Ok(fingerprint.finish())
+}
+
+/// Adds everything that is read of a capture.
+pub(super) fn add_capture(fingerprint: &mut Fingerprint, capture: &Capture) -> Result<(), PipelineError> {
     let mut files: Vec<(String, PathBuf)> = Vec::new();
     for view in &capture.views {
         files.push((format!("{} {}", view.camera.name, view.location), view.image.clone()));
@@ -193,13 +201,16 @@ fn fingerprint(capture: &Capture, config: &Config) -> Result<String, PipelineErr
         fingerprint.path("list", list)?;
     }
     files.extend(capture.points_path.iter().map(|p| ("points".to_owned(), p.clone())));
-    fingerprint.files("capture", &files)?;
-    Ok(fingerprint.finish())
+    fingerprint.files("capture", &files)
 }
 
-fn load(capture: &Capture, config: &Config, context: &Context<'_>) -> Result<Vec<View>, PipelineError> {
+pub(super) fn load(
+    capture: &Capture,
+    max_width: usize,
+    context: &Context<'_>,
+) -> Result<Vec<View>, PipelineError> {
     context.check()?;
-    let options = LoadOptions { size: Size::MaxWidth(config.max_width) };
+    let options = LoadOptions { size: Size::MaxWidth(max_width) };
     Ok(capture.load_with(&options, &|p| {
         context.progress.update(&Status {
             fraction: None,
@@ -248,6 +259,18 @@ fn initial_points(
     Ok((!positions.is_empty()).then_some((positions, radiance)))
 }
 
+/// Photos as the optimisations take them.
+pub(super) fn train_views(views: &[View]) -> Vec<TrainView> {
+    let of = |v: &View| TrainView {
+        camera: v.camera.clone(),
+        color: v.color.clone(),
+        mask: v.alpha.clone(),
+        valid: v.valid.clone(),
+        hdr: v.encoding == Encoding::Linear,
+    };
+    views.iter().map(of).collect()
+}
+
 fn train(
     views: &[View],
     points: Option<&Points>,
@@ -257,16 +280,7 @@ fn train(
     context: &Context<'_>,
     run: &mut Run,
 ) -> Result<Trained, PipelineError> {
-    let train_views: Vec<TrainView> = views
-        .iter()
-        .map(|v| TrainView {
-            camera: v.camera.clone(),
-            color: v.color.clone(),
-            mask: v.alpha.clone(),
-            valid: v.valid.clone(),
-            hdr: v.encoding == Encoding::Linear,
-        })
-        .collect();
+    let train_views = train_views(views);
     let checkpoint = input.output.join(CHECKPOINT);
     let resume = match (config.resume, std::fs::read(&checkpoint)) {
         (Resume::IfThere | Resume::Expected, Ok(bytes)) => {
@@ -284,15 +298,12 @@ fn train(
         (Resume::Never | Resume::IfThere, Err(_)) => None,
     };
     run.invalidate()?;
-    let mut watcher = Watcher {
+    let mut watcher = Watcher::new(
         context,
-        preview: input.output.join("preview.png"),
-        checkpoint: checkpoint.clone(),
-        interval: Duration::from_secs_f64(config.checkpoint_interval_s.max(1.0)),
-        last: Instant::now(),
-        saved: false,
-        failure: None,
-    };
+        input.output.join("preview.png"),
+        checkpoint.clone(),
+        config.checkpoint_interval_s,
+    );
     let points = points.map(|(p, c)| (p.as_slice(), c.as_slice()));
     let start = Instant::now();
     let result = comgs_inverse::train(&train_views, points, train_config, resume.as_deref(), &mut watcher);
@@ -329,14 +340,28 @@ fn save(asset: &mut Asset, input: &Input) -> Result<(), PipelineError> {
 }
 
 /// Passes on what training says, and stores its state.
-struct Watcher<'a, 'b> {
+pub(super) struct Watcher<'a, 'b> {
     context: &'a Context<'b>,
     preview: PathBuf,
     checkpoint: PathBuf,
     interval: Duration,
     last: Instant,
-    saved: bool,
-    failure: Option<String>,
+    /// Whether a checkpoint was stored.
+    pub saved: bool,
+    /// The first file that could not be written.
+    pub failure: Option<String>,
+}
+
+impl<'a, 'b> Watcher<'a, 'b> {
+    pub(super) fn new(
+        context: &'a Context<'b>,
+        preview: PathBuf,
+        checkpoint: PathBuf,
+        interval_s: f64,
+    ) -> Self {
+        let interval = Duration::from_secs_f64(interval_s.max(1.0));
+        Self { context, preview, checkpoint, interval, last: Instant::now(), saved: false, failure: None }
+    }
 }
 
 impl Observer for Watcher<'_, '_> {

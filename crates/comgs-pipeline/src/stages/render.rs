@@ -56,6 +56,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         context.progress.end("unchanged since the last run; nothing to do");
         return Ok(Output { frames: names, record });
     }
+    run.check_output()?;
     let inputs = json!({"asset": input.asset, "cameras": input.cameras});
     run.describe(fingerprint, inputs, config, None)?;
     let asset = run.time("load", || source::load_surfels(&input.asset, AssetKind::Scene))?;

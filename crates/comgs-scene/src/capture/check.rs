@@ -1,7 +1,9 @@
 //! Every problem of a capture at once, before any work.
 
 use super::survey::{Need, Survey, image_reason, survey};
-use super::{CheckReport, OpenOptions, Problem, ProblemKind, Severity, Split, ViewRecord, extent, recognise};
+use super::{
+    CheckReport, MIN_VIEWS, OpenOptions, Problem, ProblemKind, Severity, Split, ViewRecord, extent, recognise,
+};
 use crate::SceneError;
 use comgs_geom::Camera;
 use comgs_image::transfer;
@@ -22,6 +24,9 @@ pub enum CheckDepth {
 const OUTLIER_DISTANCE: f64 = 20.0;
 /// Standard deviation of sRGB codes below which an image has no texture: a quarter of an 8-bit step.
 const TEXTURELESS: f64 = 0.25 / 255.0;
+
+/// What is said of a black image.
+const BLACK: &str = "the image is black";
 
 /// Lists every problem of the capture at `path`, from lists and file headers. Never fails: what cannot be read is
 /// itself a problem.
@@ -44,6 +49,14 @@ pub fn check_with(path: impl AsRef<Path>, depth: CheckDepth) -> CheckReport {
             let mut report = judge(&survey, path);
             if depth == CheckDepth::Pixels {
                 let content: Vec<Vec<Problem>> = survey.views.par_iter().map(content).collect();
+                let train = |(view, _): &(&ViewRecord, &Vec<Problem>)| view.split == Split::Train;
+                let mut photos = survey.views.iter().zip(&content).filter(train).peekable();
+                if photos.peek().is_some()
+                    && photos.all(|(_, problems)| problems.iter().any(|p| p.message == BLACK))
+                {
+                    let (kind, message) = (ProblemKind::Content, "all training images are black".to_owned());
+                    report.problems.push(problem(Severity::Error, kind, path.to_owned(), "", message));
+                }
                 report.problems.extend(content.into_iter().flatten());
             }
             report
@@ -95,6 +108,10 @@ fn judge(survey: &Survey, path: &Path) -> CheckReport {
             Severity::Error,
             "all training cameras stand in the same place: depth cannot be told from turning alone",
         ),
+        Diversity::Enough if train.len() < MIN_VIEWS => {
+            let n = train.len();
+            add(Severity::Error, &format!("{n} training views only: at least {MIN_VIEWS} are needed"));
+        }
         Diversity::Enough => {}
     }
     let (centre, radius) = extent(cameras.iter().map(|c| c.centre()));
@@ -176,7 +193,7 @@ fn content(view: &ViewRecord) -> Vec<Problem> {
     let mean = sum / count as f64;
     let deviation = (squares / count as f64 - mean * mean).max(0.0).sqrt();
     if mean < 1.0 / 255.0 && deviation < 1.0 / 255.0 {
-        warn("the image is black".into())
+        warn(BLACK.into())
     } else if saturated as f64 > 0.98 * count as f64 {
         warn("the image is saturated".into())
     } else if deviation < TEXTURELESS {

@@ -95,7 +95,7 @@ fn model(name: &str, p: &[f64]) -> Result<(Intrinsics, Lens), String> {
         }
     };
     if !sound.0.x.is_sound() || sound.0.y.is_some_and(|y| !y.is_sound()) {
-        return Err("the focal length is zero".into());
+        return Err("the focal length is not positive and finite".into());
     }
     Ok(sound)
 }

@@ -78,7 +78,7 @@ impl Focal {
     #[must_use]
     pub fn is_sound(self) -> bool {
         match self {
-            Self::Pixels(f) => f.is_finite() && f != 0.0,
+            Self::Pixels(f) => f.is_finite() && f > 0.0,
             Self::Angle(a) => a > 0.0 && a < std::f64::consts::PI,
         }
     }
@@ -213,7 +213,8 @@ mod tests {
         assert!(
             !Focal::Angle(4.0).is_sound()
                 && !Focal::Pixels(f64::NAN).is_sound()
-                && Focal::Pixels(-3.0).is_sound()
+                && !Focal::Pixels(-3.0).is_sound()
+                && Focal::Pixels(3.0).is_sound()
         );
     }
 }

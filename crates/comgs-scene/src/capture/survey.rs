@@ -333,6 +333,10 @@ fn resolve(frame: &Frame, part: &Part, folders: &Folders, format: Format, need: 
         out.problem(Severity::Error, kind, &part.list, &format!("{at}{field}"), message);
         broken = true;
     }
+    for message in camera.oddities() {
+        let at = format!("{at}{}", intrinsics_field(format));
+        out.problem(Severity::Warning, ProblemKind::Intrinsics, &part.list, &at, message);
+    }
     let size = actual.unwrap_or(declared);
     let image = image.unwrap_or_default();
     if size != declared {

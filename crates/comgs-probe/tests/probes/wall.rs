@@ -1,6 +1,6 @@
 //! A free-standing wall of size 1, thinner than the probes are apart: bright on one face, dark on the other.
 
-use super::support::{baked, empty, rectangle, rectangle_points, tracer};
+use crate::support::{baked, direction, empty, rectangle, rectangle_points, tracer};
 use comgs_geom::Rng;
 use comgs_probe::{LookupConfig, OrientedPoints, ProbeConfig};
 use glam::Vec3;
@@ -59,7 +59,7 @@ pub fn leak(config: &ProbeConfig, thickness: f32, rays: usize, adjust: impl Fn(&
         }
         let mut seen = 0;
         while seen < directions {
-            let d = super::support::direction(&mut rng);
+            let d = direction(&mut rng);
             if d.x > LOWEST {
                 let [r, g, b, o] = set.lookup(&neighbours, d);
                 sum[0] += f64::from(o) / f64::from(directions);
