@@ -56,9 +56,11 @@ pub(crate) enum Command {
     Place(Place),
     Light(Light),
     Render(Render),
+    Relight(Relight),
     Compose(Compose),
     Material(Material),
     Eval(Eval),
+    Ablate(Ablate),
     Synth(Synth),
     Demo(Demo),
     Info(Info),
@@ -356,6 +358,81 @@ pub(crate) struct Render {
     pub layers: bool,
 }
 
+/// Show a decomposed object under another light
+///
+/// Needs the material that `comgs decompose` adds. Light and surface both propose the directions that are looked at, so a
+/// polished object under a small sun is as free of noise as a matte one under a cloudy sky. What the object hides from
+/// itself comes from its probes.
+#[derive(Debug, Args)]
+#[command(
+    group = ArgGroup::new("views").required(true).args(["cameras", "turntable"]),
+    after_help = "\
+Examples:
+  comgs relight cow.asset --env sunset.exr --turntable 36 -o out/cow
+  comgs relight cow.asset --env sunset.exr --cameras photos/cow/test/cameras.json -o out/cow --layers
+  comgs relight cow.asset --turntable 24 --background -o out/cow            the light it was captured under
+  comgs relight cow.asset --env studio.exr --turntable 12 --indirect --quality reference -o out/cow"
+)]
+pub(crate) struct Relight {
+    /// Asset made with `comgs decompose`, or a PLY of surfels with material
+    pub asset: PathBuf,
+
+    /// Environment map: equirectangular EXR or HDR, z up; the recovered light of the capture when absent
+    #[arg(long, value_name = "EXR")]
+    pub env: Option<PathBuf>,
+
+    /// Any camera list or capture
+    #[arg(long)]
+    pub cameras: Option<PathBuf>,
+
+    /// This many cameras around the object instead, and a preview.gif of the turn
+    #[arg(long, value_name = "N", value_parser = views)]
+    pub turntable: Option<usize>,
+
+    /// Size of turntable frames
+    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = size)]
+    pub size: (usize, usize),
+
+    /// Output folder: frames/<camera>.png
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+
+    /// Also write layers/<camera>.exr: beauty, diffuse, specular, indirect, visibility, depth, normal, material
+    #[arg(long)]
+    pub layers: bool,
+
+    /// Show the light behind the object instead of black
+    #[arg(long)]
+    pub background: bool,
+
+    /// What the object hides from itself; an object without probes is traced
+    #[arg(long, value_enum, default_value = "probes")]
+    pub visibility: Visibility,
+
+    /// Add light that bounces once between the object's own surfaces
+    #[arg(long)]
+    pub indirect: bool,
+
+    /// Time against noise: 32, 128 or 512 samples a pixel
+    #[arg(long, value_enum, default_value = "balanced")]
+    pub quality: Quality,
+
+    /// Samples a pixel instead of the quality's
+    #[arg(long, value_name = "N", value_parser = rays)]
+    pub rays: Option<u32>,
+
+    /// Same seed, same bytes
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+fn views(text: &str) -> Result<usize, String> {
+    match text.parse::<usize>() {
+        Ok(n) if (1..=100_000).contains(&n) => Ok(n),
+        _ => Err("expected a number of frames from 1 to 100000".into()),
+    }
+}
+
 /// Put objects into a scene, with their shadows
 ///
 /// Captures are reconstructed first, into the output folder. Writes frames, the empty scene, a preview, composition.json
@@ -508,6 +585,7 @@ pub(crate) struct Material {
 #[command(after_help = "\
 Examples:
   comgs eval cow.asset --against photos/cow
+  comgs eval cow.asset --against data/object/cow --relit data/object_relit/cow
   comgs eval out/cow_in_room --against composition/room_with_cow --json scores.json")]
 pub(crate) struct Eval {
     /// Asset, PLY, or folder of frames
@@ -517,9 +595,73 @@ pub(crate) struct Eval {
     #[arg(long, value_name = "TRUTH")]
     pub against: PathBuf,
 
+    /// The object under other lights (object_relit/NAME): relight a decomposed asset and score that too
+    #[arg(long, value_name = "ROOT")]
+    pub relit: Option<PathBuf>,
+
     /// Write the scores as JSON too
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+}
+
+/// Measure what a stage's choices cost in time and memory, and what they give
+#[derive(Debug, Args)]
+pub(crate) struct Ablate {
+    #[command(subcommand)]
+    pub what: AblateWhat,
+}
+
+/// What is swept.
+#[derive(Debug, Subcommand)]
+pub(crate) enum AblateWhat {
+    Decompose(AblateDecompose),
+}
+
+/// Decompose an object again and again, turning one knob at a time
+///
+/// Writes decompose.csv, decompose.md, decompose.svg and decompose.png: albedo, relighting, normals, seconds, milliseconds a
+/// step and megabytes for each setting of visibility, probe offset, number of probes, texture size, rays and Chebyshev
+/// weight. The capture needs ground-truth albedo; relighting is scored where object_relit/NAME lies beside object/NAME.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs ablate decompose data/object/cow --asset cow.asset -o out/ablation
+  comgs ablate decompose data/object/cow -o out/ablation --iterations 200 --knobs visibility,probes")]
+pub(crate) struct AblateDecompose {
+    /// Object capture with ground truth
+    pub capture: PathBuf,
+
+    /// Its reconstruction; made first when absent
+    #[arg(long)]
+    pub asset: Option<PathBuf>,
+
+    /// The object under other lights (object_relit/NAME); looked for beside the capture when absent
+    #[arg(long, value_name = "ROOT")]
+    pub relit: Option<PathBuf>,
+
+    /// Output folder
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+
+    /// Knobs to turn; all when absent: visibility, offset, probes, texture, rays, chebyshev
+    #[arg(long, value_name = "KNOB,…", value_delimiter = ',')]
+    pub knobs: Vec<String>,
+
+    /// Steps of every decomposition
+    #[arg(long, value_name = "N", default_value_t = 400)]
+    pub iterations: u32,
+
+    /// Cameras under each other light, at most
+    #[arg(long, value_name = "N", default_value_t = 6)]
+    pub relit_views: usize,
+
+    /// How the object is reconstructed, when there is no asset
+    #[arg(long, value_enum, default_value = "balanced")]
+    pub quality: Quality,
+
+    /// Seed
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
 }
 
 /// Make captures with exact ground truth

@@ -5,7 +5,9 @@ use crate::terminal::Terminal;
 use anyhow::{Context as _, bail};
 use clap::CommandFactory;
 use comgs_inverse::{AlbedoScale, Kind, Quality, Visibility};
-use comgs_pipeline::stages::{compose, decompose, demo, eval, info, light, material, place, reconstruct, render, synth};
+use comgs_pipeline::stages::{
+    ablate, compose, decompose, demo, eval, info, light, material, place, reconstruct, relight, render, synth,
+};
 use comgs_pipeline::{CancelToken, Context};
 use comgs_scene::{CheckDepth, check_with};
 use std::path::Path;
@@ -26,6 +28,16 @@ impl From<args::Quality> for Quality {
             args::Quality::Draft => Self::Draft,
             args::Quality::Balanced => Self::Balanced,
             args::Quality::Reference => Self::Reference,
+        }
+    }
+}
+
+impl From<args::Visibility> for Visibility {
+    fn from(visibility: args::Visibility) -> Self {
+        match visibility {
+            args::Visibility::Probes => Self::Probes,
+            args::Visibility::Trace => Self::Trace,
+            args::Visibility::None => Self::None,
         }
     }
 }
@@ -53,9 +65,11 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Place(a) => run_place(a, &context)?,
         Command::Light(a) => run_light(a, &context)?,
         Command::Render(a) => run_render(a, &context)?,
+        Command::Relight(a) => run_relight(a, &context)?,
         Command::Compose(a) => run_compose(a, &context)?,
         Command::Material(a) => run_material(a, &context)?,
         Command::Eval(a) => run_eval(a, &context)?,
+        Command::Ablate(a) => run_ablate(a, &context)?,
         Command::Synth(a) => run_synth(a, &context)?,
         Command::Demo(a) => run_demo(a, &context)?,
         Command::Info(a) => {
@@ -98,11 +112,7 @@ fn run_decompose(a: &args::Decompose, context: &Context<'_>) -> anyhow::Result<(
         decompose::Input { asset: a.asset.clone(), capture: a.capture.clone(), output: a.output.clone() };
     let mut config = decompose::Config::preset(a.quality.into());
     let c = &mut config.decompose;
-    c.visibility = match a.visibility {
-        args::Visibility::Probes => Visibility::Probes,
-        args::Visibility::Trace => Visibility::Trace,
-        args::Visibility::None => Visibility::None,
-    };
+    c.visibility = a.visibility.into();
     c.probes = a.probes.unwrap_or(c.probes);
     c.probe_resolution = a.probe_res;
     c.probe_offset = a.probe_offset;
@@ -183,6 +193,32 @@ fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Result<()> {
     Ok(())
 }
 
+fn run_relight(a: &args::Relight, context: &Context<'_>) -> anyhow::Result<()> {
+    let views = match (&a.cameras, a.turntable) {
+        (Some(path), _) => relight::Views::Cameras(path.clone()),
+        (None, Some(count)) => relight::Views::Turntable(count),
+        (None, None) => bail!("one of --cameras and --turntable is needed"),
+    };
+    let input =
+        relight::Input { asset: a.asset.clone(), light: a.env.clone(), views, output: a.output.clone() };
+    let config = relight::Config {
+        quality: a.quality.into(),
+        rays: a.rays,
+        visibility: a.visibility.into(),
+        indirect: a.indirect,
+        layers: a.layers,
+        background: a.background,
+        size: [a.size.0, a.size.1],
+        seed: a.seed,
+    };
+    let made = relight::run(&input, &config, context)?;
+    println!("{}", made.frames.display());
+    if let Some(preview) = &made.preview {
+        println!("{}", preview.display());
+    }
+    Ok(())
+}
+
 fn run_compose(a: &args::Compose, context: &Context<'_>) -> anyhow::Result<()> {
     let input = compose::Input {
         scene: a.scene.clone(),
@@ -229,8 +265,36 @@ fn run_material(a: &args::Material, context: &Context<'_>) -> anyhow::Result<()>
 }
 
 fn run_eval(a: &args::Eval, context: &Context<'_>) -> anyhow::Result<()> {
-    let input = eval::Input { subject: a.subject.clone(), against: a.against.clone(), json: a.json.clone() };
+    let input = eval::Input {
+        subject: a.subject.clone(),
+        against: a.against.clone(),
+        relit: a.relit.clone(),
+        json: a.json.clone(),
+    };
     print!("{}", eval::run(&input, context)?.to_text());
+    Ok(())
+}
+
+fn run_ablate(a: &args::Ablate, context: &Context<'_>) -> anyhow::Result<()> {
+    let args::AblateWhat::Decompose(a) = &a.what;
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let input = ablate::Input {
+        capture: a.capture.clone(),
+        asset: a.asset.clone(),
+        relit: a.relit.clone(),
+        output: a.output.clone(),
+        command: format!("comgs {}", words.join(" ")),
+    };
+    let config = ablate::Config {
+        iterations: a.iterations,
+        knobs: a.knobs.clone(),
+        relit_views: a.relit_views,
+        quality: a.quality.into(),
+        max_width: 1600,
+        seed: a.seed,
+    };
+    let sweep = ablate::run(&input, &config, context)?;
+    println!("{}", sweep.to_markdown()?);
     Ok(())
 }
 

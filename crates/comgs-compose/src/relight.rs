@@ -19,6 +19,7 @@ pub mod bounce;
 mod config;
 mod frame;
 mod layers;
+mod light_sets;
 pub mod points;
 pub mod reference;
 mod shade;
@@ -38,6 +39,7 @@ use comgs_probe::{BakeObserver, ProbeError, ProbeSet};
 use comgs_raster::{Frame, Planes};
 use comgs_surfel::{MaterialColumns, SurfelCloud};
 use comgs_trace::{TraceConfig, Tracer};
+use light_sets::LightSets;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::time::Instant;
@@ -52,6 +54,7 @@ const CHUNK: usize = 32;
 pub struct Relighter<'a> {
     cloud: &'a SurfelCloud,
     light: EnvironmentSampler,
+    sets: LightSets,
     surroundings: Surroundings<'a>,
     config: RelightConfig,
     preparation: Preparation,
@@ -110,10 +113,18 @@ impl<'a> Relighter<'a> {
         let start = Instant::now();
         let (material, diameter) = check(cloud, &config)?;
         let light = EnvironmentSampler::new(light);
+        let sets = LightSets::new(&light, config.light_rays, config.seed, shade::OTHER_STREAMS - 2);
         let mut surroundings = match config.self_occlusion {
             SelfOcclusion::None => Surroundings::Open,
             SelfOcclusion::Probes => {
                 Surroundings::Probes(Probes::new(sound(probes.ok_or(RelightError::NoProbes)?)?, &config))
+            }
+            SelfOcclusion::Mixed => {
+                let set = sound(probes.ok_or(RelightError::NoProbes)?)?;
+                let trace = Instant::now();
+                let rays = Some((tracer(cloud)?, config.trace_offset * diameter));
+                preparation.trees_s = trace.elapsed().as_secs_f64();
+                Surroundings::Probes(Probes { rays, ..Probes::new(set, &config) })
             }
             SelfOcclusion::Trace => {
                 let trace = Instant::now();
@@ -134,7 +145,7 @@ impl<'a> Relighter<'a> {
             surroundings = lit_by(surroundings, glowing, observer)?;
             preparation.bake_s = start.elapsed().as_secs_f64();
         }
-        Ok(Self { cloud, light, surroundings, config, preparation })
+        Ok(Self { cloud, light, sets, surroundings, config, preparation })
     }
 
     /// What the preparation cost.
@@ -197,7 +208,7 @@ impl<'a> Relighter<'a> {
 
     fn shade_point(&self, point: &Point, stream: u64, around: &mut Around<'_>) -> (Lit, f32) {
         around.go_to(point.position, point.normal);
-        let lit = shade::shade(point, stream, &self.light, around, &self.config);
+        let lit = shade::shade(point, stream, &self.light, &self.sets, around, &self.config);
         let visibility = if self.config.layers {
             let seed = self.config.seed ^ shade::OTHER_STREAMS;
             shade::visibility(point.normal, stream, around, VISIBILITY_RAYS, seed)

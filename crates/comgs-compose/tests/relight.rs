@@ -93,10 +93,10 @@ fn rough_map(seed: u64) -> EnvironmentMap {
     EnvironmentMap::from_image(&image).unwrap().turned(0.4)
 }
 
-/// Difference that two seeds may make under a small sun.
-const NOISE: f64 = 0.03;
+/// Difference that two seeds may make under a small sun, in root mean square over the pixels.
+const NOISE: f64 = 0.01;
 /// Difference that they may make in the worst pixel.
-const FIREFLY: f64 = 0.15;
+const FIREFLY: f64 = 0.2;
 
 /// One texel of 10⁵ over 10⁻³ (hard case 25).
 fn small_sun(width: usize) -> EnvironmentMap {
@@ -259,9 +259,9 @@ fn both_proposals_beat_either() {
 }
 
 /// Goal: hard case 25: under one texel of 10⁵ over 10⁻³ two seeds give the same picture, from chalk to a polished
-/// metal: neither light's nor BRDF's samples leave fireflies. Bounds on |a − b|: in root mean square over the root mean
-/// square of the picture, over its brightest pixel, and over a + b in 99 % of the pixels [`NOISE`] (found: 2.0 %, 1.9 %,
-/// 0.9 %); over a + b anywhere [`FIREFLY`] (found: 8 %).
+/// metal: neither light's nor BRDF's samples leave fireflies. Bounds on |a − b| / (a + b): [`NOISE`] in root mean square
+/// over the picture (found: 0.4 %) and [`FIREFLY`] in the worst pixel (found: 10 %, where the outline of the sun that the
+/// polished ball mirrors cuts a highlight a twentieth as wide as the sun; 6 % on the others).
 #[test]
 fn small_sun_is_quiet_hard_case_25() {
     for (roughness, metallic) in [(0.05, 1.0), (0.1, 0.0), (0.2, 1.0), (0.4, 0.0), (1.0, 0.0)] {
@@ -274,19 +274,16 @@ fn small_sun_is_quiet_hard_case_25() {
             Relighter::new(&cloud, Some(&set), &map, config).unwrap().render(&camera(48)).radiance
         };
         let (a, b) = (of(1), of(2));
-        let power = |f: &dyn Fn(usize) -> f32| -> f64 {
-            (0..a.data.len()).map(|i| f64::from(f(i)).powi(2)).sum::<f64>()
-        };
-        let relative = (power(&|i| a.data[i] - b.data[i]) / power(&|i| a.data[i])).sqrt();
-        let worst = (0..a.data.len()).map(|i| f64::from((a.data[i] - b.data[i]).abs())).fold(0.0, f64::max);
-        let top = f64::from(a.data.iter().copied().fold(0.0, f32::max));
-        let apart = |i: usize| f64::from((a.data[i] - b.data[i]).abs() / (a.data[i] + b.data[i]));
-        let mut apart: Vec<f64> = (0..a.data.len()).filter(|&i| a.data[i] > 0.0).map(apart).collect();
-        apart.sort_by(f64::total_cmp);
-        let (most, last) = (apart[apart.len() * 99 / 100], apart[apart.len() - 1]);
-        let text = format!("{material:?}: {relative} {} {most} {last}", worst / top);
-        assert!(relative < NOISE && worst < NOISE * top, "{text}");
-        assert!(most < NOISE && last < FIREFLY, "{text}");
+        // A tenth of the darkness of the map is dark.
+        let apart = |i: usize| f64::from((a.data[i] - b.data[i]).abs() / (a.data[i] + b.data[i]).max(1e-4));
+        let apart: Vec<f64> = (0..a.data.len()).filter(|&i| a.data[i] > 0.0).map(apart).collect();
+        let mean_square = apart.iter().map(|d| d * d).sum::<f64>() / apart.len() as f64;
+        let worst = apart.iter().copied().fold(0.0, f64::max);
+        assert!(
+            mean_square.sqrt() < NOISE && worst < FIREFLY,
+            "{material:?}: {} {worst}",
+            mean_square.sqrt()
+        );
     }
 }
 
@@ -375,10 +372,9 @@ fn corner_bounce() {
                 if hit { (0.0, radiosity.as_dvec3()) } else { (1.0, DVec3::ZERO) }
             });
             let ratio = indirect.as_dvec3() / paper.indirect;
-            println!(
-                "{occlusion:?} at {c}: {indirect} paper {} matte {matte}, ratio {ratio}",
-                paper.indirect
-            );
+            assert!((ratio - 1.0).abs().max_element() < tolerance, "{occlusion:?} at {c}: {ratio}");
+            // The reference holds the highlight too, which adds little where the albedo is high.
+            assert!((1.0..1.04).contains(&(paper.indirect.x / matte.x)), "{paper:?} {matte}");
             assert!((brighter - indirect).abs().max_element() < 1e-5 * indirect.max_element());
         }
     }

@@ -13,7 +13,7 @@
 use glam::{DVec2, DVec3, Vec2, Vec3};
 
 /// `magnitude` ≥ 0 with the sign of `x`, where 0 and −0 are positive. Bit operations: a branch on the sign of a random
-/// direction is mispredicted half of the time (a footprint took 2.5 times as long with them).
+/// direction is mispredicted half of the time (a footprint took twice as long with them).
 #[inline]
 fn signed(magnitude: f32, x: f32) -> f32 {
     magnitude.copysign(x + 0.0)

@@ -60,6 +60,9 @@ pub enum ReadError {
 pub const MAX_PIXELS: usize = 1 << 26;
 /// Largest number of samples in all channels of an EXR: four channels at [`MAX_PIXELS`], or more in a smaller picture.
 const MAX_SAMPLES: usize = 4 * MAX_PIXELS;
+/// Pixels that one byte of a file can hold at most: a PNG of one bit a pixel, all equal, holds 8256 (deflate reaches 1032
+/// to 1). A header that promises more is believed no further, so memory stays in proportion to the file.
+const PIXELS_PER_BYTE: usize = 1 << 14;
 
 /// Reads an image by its content's format (EXR by its magic number, others through `image`).
 ///
@@ -125,11 +128,16 @@ pub fn exr_channels(path: &Path) -> Result<Vec<String>, ReadError> {
     Ok(channels.collect())
 }
 
-fn check_size(width: usize, height: usize, path: &Path) -> Result<(), ReadError> {
+/// Whether a picture of this size may be decoded from a file of `bytes` bytes.
+fn check_size(width: usize, height: usize, bytes: usize, path: &Path) -> Result<(), ReadError> {
     if width == 0 || height == 0 {
         return Err(ReadError::Decode { path: path.to_owned(), reason: "the image is empty".into() });
     }
     match width.checked_mul(height) {
+        Some(n) if n <= MAX_PIXELS && n > bytes.saturating_mul(PIXELS_PER_BYTE) => {
+            let reason = format!("{width}×{height} pixels cannot be in {bytes} bytes");
+            Err(ReadError::Decode { path: path.to_owned(), reason })
+        }
         Some(n) if n <= MAX_PIXELS => Ok(()),
         _ => Err(ReadError::TooLarge { path: path.to_owned(), width, height }),
     }
@@ -140,7 +148,7 @@ fn decode_exr(bytes: &[u8], path: &Path) -> Result<Loaded, ReadError> {
     let error = |reason: String| ReadError::Decode { path: path.to_owned(), reason };
     let meta = exr::meta::MetaData::read_from_buffered(bytes, false).map_err(|e| error(e.to_string()))?;
     for header in &meta.headers {
-        check_size(header.layer_size.width(), header.layer_size.height(), path)?;
+        check_size(header.layer_size.width(), header.layer_size.height(), bytes.len(), path)?;
         let channels = header.channels.list.len();
         if header.layer_size.area().saturating_mul(channels) > MAX_SAMPLES {
             return Err(error(format!("{channels} channels are more than {MAX_SAMPLES} samples")));
@@ -199,7 +207,7 @@ fn decode_other(bytes: &[u8], path: &Path) -> Result<Loaded, ReadError> {
     };
     let (w, h) = guess()?.into_dimensions().map_err(|e| error(e.to_string()))?;
     let (width, height) = (w as usize, h as usize);
-    check_size(width, height, path)?;
+    check_size(width, height, bytes.len(), path)?;
     let mut reader = guess()?;
     let mut limits = image::Limits::default();
     limits.max_alloc = Some(MAX_PIXELS as u64 * 16);
@@ -266,8 +274,8 @@ mod tests {
         assert!(start.elapsed() < Duration::from_millis(200), "{:?}", start.elapsed());
         let small = decode(&png_header(16, 16), Path::new("small.png")).unwrap_err();
         assert!(matches!(small, ReadError::Decode { .. }), "{small}");
-        assert!(check_size(8192, 8192, Path::new("x")).is_ok());
-        assert!(check_size(8192, 8193, Path::new("x")).is_err());
-        assert!(check_size(usize::MAX, 2, Path::new("x")).is_err());
+        let size = |w, h, bytes| check_size(w, h, bytes, Path::new("x")).is_ok();
+        assert!(size(8192, 8192, 8200) && !size(8192, 8193, 8200) && !size(usize::MAX, 2, usize::MAX));
+        assert!(!size(8192, 8192, 500), "half a kilobyte holds no such picture");
     }
 }

@@ -63,8 +63,11 @@ pub fn write_hdr(path: &Path, image: &Image) -> Result<(), WriteError> {
     if image.channels != 3 {
         return Err(failed(path, format!("an HDR has 3 channels, not {}", image.channels)));
     }
-    let pixels: Vec<image::Rgb<f32>> =
-        image.data.chunks_exact(3).map(|p| image::Rgb([p[0].max(0.0), p[1].max(0.0), p[2].max(0.0)])).collect();
+    let pixels: Vec<image::Rgb<f32>> = image
+        .data
+        .chunks_exact(3)
+        .map(|p| image::Rgb([p[0].max(0.0), p[1].max(0.0), p[2].max(0.0)]))
+        .collect();
     let mut encoded = Vec::new();
     image::codecs::hdr::HdrEncoder::new(&mut encoded)
         .encode(&pixels, image.width, image.height)

@@ -118,6 +118,7 @@ fn main() {
     let (mut psnr, mut ssim, mut count) = (0.0, 0.0, 0.0);
     let mut bias = [[0.0f64; 4]; 6];
     let mut all_nd = vec![];
+    let mut own = [[0.0f64; 5]; 6];
     let (mut all, mut all_d, mut all_b, mut all_z) = (vec![], vec![], vec![], vec![]);
     for view in load(Split::Test).unwrap() {
         let view = to_train(view);
@@ -138,6 +139,30 @@ fn main() {
         let zpath = Path::new(capture).join(format!("test/depth/{}.exr", view.camera.name));
         let (Ok(gt), Some(mask)) = (comgs_image::read(&path), &view.mask) else { continue };
         let gz = comgs_image::read(&zpath).ok();
+        if let Some(gz) = &gz {
+            for i in 0..trained.cloud.len() {
+                let p = Vec3::from_array(trained.cloud.positions[i]).as_dvec3();
+                let Some((q, zc)) = view.camera.project(p) else { continue };
+                if !(q.x >= 0.0 && q.y >= 0.0 && q.x < w as f64 && q.y < h as f64) { continue }
+                let j = q.y as usize * w + q.x as usize;
+                if mask.data[j] <= 0.99 { continue }
+                let g = f64::from(gz.color.data[gz.color.channels * j]);
+                if g <= 0.0 { continue }
+                let t = Vec3::from_slice(&gt.color.data[3 * j..3 * j + 3]);
+                let back = -view.camera.ray_world(q.x, q.y).as_vec3();
+                let tilt = angle(t, back);
+                let hgt = (zc - g) * f64::from(tilt.to_radians().cos());
+                if tilt > 75.0 || hgt.abs() > 0.05 { continue }
+                let mut n = trained.cloud.rotation(i).z_axis;
+                if n.dot(back) < 0.0 { n = -n; }
+                let bin = ((tilt / 15.0) as usize).min(5);
+                own[bin][0] += 1.0;
+                own[bin][1] += f64::from(tilt - angle(n, back));
+                own[bin][2] += hgt;
+                own[bin][3] += hgt * hgt;
+                own[bin][4] += f64::from(angle(n, t));
+            }
+        }
         let shown = normal.map(|v| (0.5 * v + 0.5).clamp(0.0, 1.0).powf(2.2));
         let mut heat = Image::zeros(w, h, 3);
         let at = |x: usize, y: usize| {
@@ -201,6 +226,9 @@ fn main() {
     stat("depth normal", &mut all_d);
     stat("depth", &mut all_z);
     stat("normal to depth normal", &mut all_nd);
+    print!("surfels by tilt (bias, height mean, height sd, angle):");
+    for b in own { print!("  {:.2} {:.4} {:.4} {:.2}", b[1] / b[0], b[2] / b[0], (b[3] / b[0] - (b[2] / b[0]).powi(2)).sqrt(), b[4] / b[0]); }
+    println!();
     print!("bias towards viewer by tilt/15 (N, N_d):");
     for b in bias { print!("  {:.2} {:.2}", b[1] / b[0], b[2] / b[3].max(1.0)); }
     println!();

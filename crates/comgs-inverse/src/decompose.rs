@@ -864,3 +864,6 @@ fn albedo_at(cloud: &SurfelCloud, source: &Source, x: usize, y: usize, raster: &
     let material = frame.material.as_ref()?;
     (w > 0.5).then(|| std::array::from_fn(|k| material.data[5 * i + k] / w))
 }
+
+#[cfg(test)]
+mod tests;

@@ -8,7 +8,7 @@ pub(crate) struct Cumulative {
     /// `items + 1` values a table.
     shares: Vec<f64>,
     /// For `k` from 0 to `items`, the first value of the table above `k/items`, `items + 1` a table: where the search
-    /// for a number between `k/items` and the next begins and ends. A search over all values took twice as long.
+    /// for a number between `k/items` and the next begins and ends.
     guide: Vec<u32>,
 }
 

@@ -266,7 +266,7 @@ fn interpolated_solid_angles(size: usize) -> Vec<f64> {
     // The two points of a part, as fractions of it.
     let offset = 0.5 / 3f32.sqrt();
     let place = |i: usize| {
-        let inside = if i % 2 == 0 { 0.5 - offset } else { 0.5 + offset };
+        let inside = if i.is_multiple_of(2) { 0.5 - offset } else { 0.5 + offset };
         ((i / 2) as f32 + inside) / parts as f32
     };
     let mut weights = vec![0.0f64; size * size];

@@ -178,10 +178,10 @@ fn invert_hat([before, here, after]: [f64; 3], u: f64) -> f64 {
     let (left, right) = (0.5 * (before + here), 0.5 * (here + after));
     let (first, second) = (0.25 * (left + here), 0.25 * (here + right));
     let target = u * (first + second);
-    // On half a texel: a x + (b − a) x² = target.
-    let invert = |a: f64, b: f64, target: f64| {
-        let root = (a * a + 4.0 * (b - a) * target).max(0.0).sqrt();
-        if a + root > 0.0 { (2.0 * target / (a + root)).clamp(0.0, 0.5) } else { 0.25 }
-    };
-    if target < first { invert(left, here, target) } else { 0.5 + invert(here, right, target - first) }
+    // On half a texel, a x + (b − a) x² = target.
+    let (a, b, target, start) =
+        if target < first { (left, here, target, 0.0) } else { (here, right, target - first, 0.5) };
+    let root = (a * a + 4.0 * (b - a) * target).max(0.0).sqrt();
+    let x = if a + root > 0.0 { 2.0 * target / (a + root) } else { 0.25 };
+    start + x.clamp(0.0, 0.5)
 }

@@ -13,6 +13,9 @@ pub enum Comparison {
     Srgb,
     /// In linear radiance: for HDR captures. SSIM is still taken on sRGB values.
     Linear,
+    /// In sRGB code values, continued above 1, for HDR captures whose few brightest pixels must not outweigh the rest: an
+    /// error of a mirrored lamp counts by its code, as the eye would take it.
+    Coded,
 }
 
 /// A target image, prepared once.
@@ -153,7 +156,7 @@ impl Photometric {
                     encoded[i] = e;
                     slope[i] = srgb_slope(x);
                     let (difference, chain) = match target.comparison {
-                        Comparison::Srgb => (e - t, slope[i]),
+                        Comparison::Srgb | Comparison::Coded => (e - t, slope[i]),
                         Comparison::Linear => (x - target.linear[c * n + i], 1.0),
                     };
                     sums[0] += f64::from(difference.abs());
@@ -232,6 +235,7 @@ mod tests {
         for (comparison, valid) in [
             (Comparison::Srgb, None),
             (Comparison::Linear, None),
+            (Comparison::Coded, None),
             (Comparison::Srgb, Some(&half)),
             (Comparison::Linear, Some(&half)),
         ] {

@@ -9,6 +9,7 @@
 //! | [`stages::place`] | scene, object, a point or pixel | `transform.json` |
 //! | [`stages::light`] | scene, a point | `env.exr` and pictures of how it came about |
 //! | [`stages::render`] | asset, cameras | frames, layers |
+//! | [`stages::relight`] | decomposed asset, environment map, cameras | frames, layers, turntable |
 //! | [`stages::compose`] | scene, object, transform, cameras | frames, layers, `composition.json`, `report.html` |
 //! | [`stages::eval`] | asset or frames, ground truth | scores |
 //! | [`stages::synth`] | recipe | captures with ground truth |

@@ -1,5 +1,6 @@
 //! The stages, one module each, in the order of the flow.
 
+pub mod ablate;
 pub mod compose;
 pub mod decompose;
 pub mod demo;
@@ -9,6 +10,7 @@ pub mod light;
 pub mod material;
 pub mod place;
 pub mod reconstruct;
+pub mod relight;
 pub mod render;
 pub mod synth;
 

@@ -232,6 +232,8 @@ fn refusals_write_nothing() {
     std::fs::write(asset.join("env.exr"), b"other").unwrap();
     assert!(refuse(&asset, &output, &rough).contains("env.exr"));
     assert!(!output.exists(), "nothing was written");
+    let below_a_file = asset.join("env.exr").join("new.asset");
+    assert!(refuse(&plain, &below_a_file, &rough).contains("env.exr"));
 }
 
 /// A published PLY with material columns, three scales when asked for; raw numbers 0 but for the red of the first.
@@ -369,7 +371,7 @@ fn eval_scores_material() {
     let score = |name: &str, cloud: SurfelCloud| {
         let path = root.path().join(name);
         Asset::new(AssetKind::Object, cloud).save(&path).unwrap();
-        let input = eval::Input { subject: path, against: capture.clone(), json: None };
+        let input = eval::Input { subject: path, against: capture.clone(), relit: None, json: None };
         eval::run(&input, &Context::silent()).unwrap()
     };
     let scores = score("estimate.asset", estimate);

@@ -253,7 +253,8 @@ fn eval_knows_the_truth() {
     common::write_capture(&capture, &common::scene_cloud(), comgs_scene::AssetKind::Scene, &cameras);
     let run = |subject: &Path, against: &Path| {
         let json = Some(root.path().join("scores.json"));
-        let input = eval::Input { subject: subject.to_owned(), against: against.to_owned(), json };
+        let input =
+            eval::Input { subject: subject.to_owned(), against: against.to_owned(), relit: None, json };
         eval::run(&input, &Context::silent())
     };
     let scores = run(&world.scene, &capture).unwrap();

@@ -1,6 +1,7 @@
 //! Depth-sorted lists of surfels for every tile.
 
-use crate::order::{Placement, settle};
+use crate::bounds::TILE;
+use crate::order::sort_tile;
 use crate::project::Projected;
 use rayon::prelude::*;
 
@@ -50,8 +51,8 @@ impl Bins {
         }
     }
 
-    /// Orders every tile's list within sheets (see [`crate::order`]).
-    pub fn settle(&mut self, placements: &[Placement]) {
+    /// Sorts every tile's list by depth at the tile (see [`crate::order`]).
+    pub fn sort_tiles(&mut self, projected: &[Projected], tiles_x: usize) {
         self.pair_of_position.clear();
         self.pair_of_position.resize(self.position_of_pair.len(), 0);
         for (pair, &position) in self.position_of_pair.iter().enumerate() {
@@ -59,17 +60,18 @@ impl Bins {
         }
         let (mut entries, mut pairs) = (self.entries.as_mut_slice(), self.pair_of_position.as_mut_slice());
         let mut work = Vec::new();
-        for w in self.offsets.windows(2) {
+        for (tile, w) in self.offsets.windows(2).enumerate() {
             let count = (w[1] - w[0]) as usize;
             let (mine, rest) = entries.split_at_mut(count);
             let (my_pairs, rest_pairs) = pairs.split_at_mut(count);
             (entries, pairs) = (rest, rest_pairs);
             if count > 1 {
-                work.push((mine, my_pairs));
+                work.push((tile, mine, my_pairs));
             }
         }
-        work.into_par_iter().for_each_init(Vec::new, |scratch, (entries, pairs)| {
-            settle(entries, pairs, placements, scratch);
+        work.into_par_iter().for_each_init(Vec::new, |scratch, (tile, entries, pairs)| {
+            let origin = [tile % tiles_x * TILE, tile / tiles_x * TILE];
+            sort_tile(entries, pairs, projected, origin, scratch);
         });
         for (position, &pair) in self.pair_of_position.iter().enumerate() {
             self.position_of_pair[pair as usize] = position as u32;
@@ -109,7 +111,7 @@ impl Bins {
 }
 
 /// Bits that sort as the float does, negatives included.
-fn sortable_bits(x: f32) -> u32 {
+pub(crate) fn sortable_bits(x: f32) -> u32 {
     let bits = x.to_bits();
     if bits >> 31 == 1 { !bits } else { bits | 0x8000_0000 }
 }

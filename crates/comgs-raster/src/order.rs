@@ -1,79 +1,45 @@
-//! The order of surfels that lie in one sheet.
-//!
-//! Sorting by centre depth is right for surfels of different surfaces and wrong within one. On a surface that is seen
-//! at a slant, centre depth grows along the slant, so the disc on the viewer's side always comes first, and its tail
-//! covers the middle of the next. The blend then shows at every pixel what belongs about one standard deviation nearer
-//! to the viewer: on a convex body a normal that leans towards the viewer, by curvature times the size of the discs,
-//! however long one trains.
-//!
-//! Within a sheet the order is therefore by offset along the normal, which does not depend on where along the sheet a
-//! disc lies. For two discs with centres p_i, p_j and unit normals n_i, n_j that face the viewer, j is in front when
-//!
-//! ```text
-//! (p_j − p_i)·(n_i + n_j) > 0.
-//! ```
-//!
-//! For two points of one smooth surface the left side vanishes to third order in their distance (the chord is
-//! perpendicular to the mean of the end normals), so curvature favours neither.
+//! The order of blending within a tile.
 
-use crate::project::CameraSurfel;
-use glam::Vec3;
+use crate::bounds::TILE;
+use crate::project::{CameraSurfel, Projected};
 
-/// What the order of a surfel depends on, camera space.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Placement {
-    /// Centre.
-    pub p: Vec3,
-    /// Unit normal, facing the viewer.
-    pub n: Vec3,
-    /// Half the range of depth that the disc spans out to [`REACH`] standard deviations.
-    pub reach: f32,
-}
-
-/// Standard deviations to which a disc counts when it is asked whether two overlap in depth.
+/// Standard deviations to which a disc's plane is followed from its centre.
 pub const REACH: f32 = 2.0;
-/// Cosine of the angle between normals up to which two surfels may be one sheet.
-pub const MIN_COSINE: f32 = 0.5;
-/// A surfel moves at most this many places forward.
-pub const MAX_MOVES: usize = 96;
 
-impl Placement {
-    /// From camera-space geometry; `facing` is +1 when the surfel's own normal faces the camera and −1 otherwise.
-    #[must_use]
-    pub fn new(geometry: &CameraSurfel, facing: f32) -> Self {
-        let f = &geometry.frame;
-        let reach = (geometry.scale[0] * f.x_axis.z).hypot(geometry.scale[1] * f.y_axis.z);
-        Self { p: geometry.p, n: f.z_axis * facing, reach: REACH * reach }
-    }
-
-    /// Whether `self`, whose centre is not nearer than `other`'s, is in front of it all the same: both span a common
-    /// depth, lie within 60° of each other, and the mean of both normals says so.
-    #[must_use]
-    #[inline]
-    pub fn is_before(&self, other: &Self) -> bool {
-        let offset = self.p - other.p;
-        offset.z < self.reach + other.reach
-            && self.n.dot(other.n) > MIN_COSINE
-            && offset.dot(self.n + other.n) > 0.0
-    }
+/// Half the range of z-depth that the disc spans out to [`REACH`] standard deviations, world units.
+#[must_use]
+pub fn reach(geometry: &CameraSurfel) -> f32 {
+    let f = &geometry.frame;
+    REACH * (geometry.scale[0] * f.x_axis.z).hypot(geometry.scale[1] * f.y_axis.z)
 }
 
-/// Orders one tile's list, which comes sorted by centre depth: each surfel moves forward past those in front of which it
-/// is ([`Placement::is_before`]), and stops at the first that it is not. `pairs` moves along.
-pub fn settle(entries: &mut [u32], pairs: &mut [u32], placements: &[Placement], scratch: &mut Vec<Placement>) {
+/// Depth by which a surfel is sorted in the tile with its upper left corner at pixel `origin`: that of its plane on the
+/// ray through the tile's middle, no farther from the centre's than the disc reaches.
+#[must_use]
+#[inline]
+pub fn tile_depth(p: &Projected, origin: [usize; 2]) -> f32 {
+    let dx = (origin[0] + TILE / 2) as f32 - p.reference[0];
+    let dy = (origin[1] + TILE / 2) as f32 - p.reference[1];
+    let z = p.plane / p.form_w[0].mul_add(dx, p.form_w[1].mul_add(dy, p.form_w[2]));
+    // Beyond the plane's horizon z is negative, on it NaN or infinite: min and max then leave the clamp's ends.
+    z.max(p.depth - p.reach).min(p.depth + p.reach)
+}
+
+/// Sorts one tile's list by [`tile_depth`], equal depths in the order they came in; `pairs` moves along.
+pub fn sort_tile(
+    entries: &mut [u32],
+    pairs: &mut [u32],
+    projected: &[Projected],
+    origin: [usize; 2],
+    scratch: &mut Vec<(u64, u32, u32)>,
+) {
     scratch.clear();
-    scratch.extend(entries.iter().map(|&k| placements[k as usize]));
-    for k in 1..entries.len() {
-        let mine = scratch[k];
-        let lowest = k.saturating_sub(MAX_MOVES);
-        let mut to = k;
-        while to > lowest && mine.is_before(&scratch[to - 1]) {
-            to -= 1;
-        }
-        if to < k {
-            scratch[to..=k].rotate_right(1);
-            entries[to..=k].rotate_right(1);
-            pairs[to..=k].rotate_right(1);
-        }
+    scratch.extend(entries.iter().zip(pairs.iter()).enumerate().map(|(i, (&k, &pair))| {
+        let bits = crate::bin::sortable_bits(tile_depth(&projected[k as usize], origin));
+        (u64::from(bits) << 32 | i as u64, k, pair)
+    }));
+    scratch.sort_unstable_by_key(|s| s.0);
+    for ((entry, pair), s) in entries.iter_mut().zip(pairs.iter_mut()).zip(scratch.iter()) {
+        (*entry, *pair) = (s.1, s.2);
     }
 }

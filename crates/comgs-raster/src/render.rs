@@ -7,7 +7,7 @@ use crate::bounds::{TILE, cover};
 use crate::color::{radiance, radiance_vjp};
 use crate::config::{Order, Planes, RasterConfig};
 use crate::frame::{Frame, FrameGradient};
-use crate::order::Placement;
+use crate::order::reach;
 use crate::project::{CameraSurfel, Projected, ProjectedGradient, ScreenCamera, project, project_vjp};
 use comgs_geom::Camera;
 use comgs_image::Image;
@@ -24,7 +24,6 @@ const CHUNK: usize = 1024;
 #[derive(Debug, Default)]
 pub struct Workspace {
     projected: Vec<Projected>,
-    placements: Vec<Placement>,
     attributes: Vec<f32>,
     first_pair: Vec<u32>,
     tiles: Vec<u32>,
@@ -121,7 +120,7 @@ pub fn forward(
     let w = workspace;
     w.bins.build(&w.projected, &w.first_pair, &w.tiles, tiles_x * tiles_y);
     if config.order == Order::Sheet {
-        w.bins.settle(&w.placements);
+        w.bins.sort_tiles(&w.projected, tiles_x);
     }
 
     let mut frame = Frame::zeros(screen.width, screen.height, planes);
@@ -221,7 +220,6 @@ fn attribute_channels(planes: Planes) -> usize {
 #[derive(Default)]
 struct ChunkOutput {
     projected: Vec<Projected>,
-    placements: Vec<Placement>,
     attributes: Vec<f32>,
     tiles: Vec<u32>,
     counts: Vec<u32>,
@@ -248,14 +246,12 @@ fn project_all(
     let w = workspace;
     w.channels = channels;
     w.projected.clear();
-    w.placements.clear();
     w.attributes.clear();
     w.tiles.clear();
     w.first_pair.clear();
     w.first_pair.push(0);
     for c in &chunks {
         w.projected.extend_from_slice(&c.projected);
-        w.placements.extend_from_slice(&c.placements);
         w.attributes.extend_from_slice(&c.attributes);
         w.tiles.extend_from_slice(&c.tiles);
         for count in &c.counts {
@@ -288,6 +284,7 @@ fn project_one(
         return;
     }
     projected.rows = rows;
+    projected.reach = reach(&geometry);
     let start = out.attributes.len();
     if channels >= 3 {
         let offset = Vec3::from_array(cloud.positions[i]) - screen.centre;
@@ -315,7 +312,6 @@ fn project_one(
         return;
     }
     out.counts.push((out.tiles.len() - before) as u32);
-    out.placements.push(Placement::new(&geometry, projected.facing));
     out.projected.push(projected);
 }
 

@@ -91,6 +91,12 @@ fn corpora_and_mutations() {
     }
 }
 
+/// Goal: images and cameras have the same limit.
+#[test]
+fn one_limit_for_images_and_cameras() {
+    assert_eq!(comgs_image::read::MAX_PIXELS, comgs_geom::camera::MAX_PIXELS);
+}
+
 /// Goal: the corpus holds what its names say: files that are accepted and files that are refused.
 #[test]
 fn the_corpus_is_what_it_says() {
@@ -110,6 +116,11 @@ fn the_corpus_is_what_it_says() {
         };
         assert_eq!(dialect, expected, "{name}");
         assert_eq!(parse_points(&bytes, &path).is_ok(), name != "giant_count", "{name}");
+    }
+    for (path, bytes) in corpus("image") {
+        let refused = ["giant_header.png", "large_promise.png"].iter().any(|name| path.ends_with(name));
+        let decoded = comgs_image::read::decode(&bytes, &path);
+        assert_eq!(decoded.is_err(), refused, "{path:?}: {:?}", decoded.err());
     }
     for (path, bytes) in corpus("transforms") {
         let listing = comgs_scene::capture::transforms::parse(&bytes, &path).unwrap();

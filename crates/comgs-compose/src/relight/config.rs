@@ -1,6 +1,6 @@
 //! How an object is relit, and what is refused.
 
-use comgs_probe::{ProbeError, VisibilityWeight};
+use comgs_probe::{ProbeConfig, ProbeError, VisibilityWeight};
 use comgs_raster::RasterConfig;
 use comgs_trace::TraceError;
 use thiserror::Error;
@@ -20,6 +20,10 @@ pub enum Heuristic {
 pub enum SelfOcclusion {
     /// Interpolated probe textures (ComGS Eq. 9–11).
     Probes,
+    /// Probes for the samples that the BRDF proposes, a ray for those that the light proposes: small strong lights, which
+    /// only the light's samples find, cast sharp shadows, and the smooth rest costs no rays. With the weights `w` of the
+    /// [`Heuristic`], `1 − O = w (1 − O_trace) + (1 − w) (1 − O_probes)`.
+    Mixed,
     /// A ray for every sample: what the probes stand for, at its full price.
     Trace,
     /// Nothing.
@@ -53,6 +57,8 @@ pub struct RelightConfig {
     pub bounce_rays: u32,
     /// Probes that a point is interpolated from at most, 1 to 16.
     pub neighbours: usize,
+    /// Radius within which probes are looked for, in units of the set's spacing; above 0.
+    pub radius: f32,
     /// Whether probes count that do not see the point.
     pub hidden_probes: VisibilityWeight,
     /// Height above the surface at which traced rays start, as a share of the diameter of the object's bounding sphere;
@@ -88,6 +94,7 @@ impl RelightConfig {
             indirect: Indirect::None,
             bounce_rays: 64,
             neighbours: 8,
+            radius: 2.5,
             hidden_probes: VisibilityWeight::None,
             trace_offset: 0.01,
             layers: false,
@@ -114,6 +121,13 @@ impl RelightConfig {
         Self { light_rays: rays / 2, brdf_rays: rays - rays / 2, ..self }
     }
 
+    /// With probes looked up as `probes` says: what was learnt through one lookup is read through the same.
+    #[must_use]
+    pub fn with_lookup(self, probes: &ProbeConfig) -> Self {
+        let (neighbours, radius, hidden_probes) = (probes.neighbours, probes.radius, probes.visibility);
+        Self { neighbours, radius, hidden_probes, ..self }
+    }
+
     /// Values out of range, one message each. Empty when sound.
     #[must_use]
     pub fn check(&self) -> Vec<String> {
@@ -134,6 +148,10 @@ impl RelightConfig {
         require(
             (1..=comgs_probe::MAX_NEIGHBOURS).contains(&self.neighbours),
             format!("neighbours is {}, expected 1 to {}", self.neighbours, comgs_probe::MAX_NEIGHBOURS),
+        );
+        require(
+            self.radius > 0.0 && self.radius.is_finite(),
+            format!("radius is {}, expected a finite value above 0", self.radius),
         );
         require(
             (0.0..=0.1).contains(&self.trace_offset),
@@ -192,13 +210,14 @@ mod tests {
             brdf_rays: 0,
             bounce_rays: 1,
             neighbours: 17,
+            radius: 0.0,
             trace_offset: f32::NAN,
             self_occlusion: SelfOcclusion::None,
             indirect: Indirect::OneBounce,
             ..RelightConfig::balanced()
         };
         let problems = bad.check();
-        let words = ["both 0", "bounce_rays", "neighbours", "trace_offset", "indirect"];
+        let words = ["both 0", "bounce_rays", "neighbours", "radius", "trace_offset", "indirect"];
         assert_eq!(problems.len(), words.len(), "{problems:?}");
         assert!(problems.iter().zip(words).all(|(p, word)| p.contains(word)), "{problems:?}");
         assert_eq!(RelightConfig { light_rays: 65_537, ..RelightConfig::balanced() }.check().len(), 1);

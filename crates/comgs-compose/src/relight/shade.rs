@@ -1,5 +1,6 @@
 //! The estimator: light that leaves a point towards the eye, and light that falls on a surfel.
 
+use super::light_sets::LightSets;
 use super::surroundings::Around;
 use super::{Heuristic, Point, RelightConfig};
 use comgs_geom::Rng;
@@ -33,21 +34,22 @@ pub(super) const OTHER_STREAMS: u64 = 1 << 40;
 /// ∫ f ((1 − O) L + L_in) cos θ dω by multiple importance sampling; `around` is at the point.
 ///
 /// A sample drawn by the light (`n` of density p) or by the BRDF (`m` of density q) adds `w f L_i cos θ / (n p)` or
-/// `w f L_i cos θ / (m q)`, with the weights of [`Heuristic`]. Both sets are Hammersley's, each turned by a random
-/// rotation of stream `stream`.
+/// `w f L_i cos θ / (m q)`, with the weights of [`Heuristic`]. Both sets are Hammersley's, each under a random rotation of
+/// stream `stream`; `sets` holds those of the light.
 pub(super) fn shade(
     point: &Point,
     stream: u64,
     light: &EnvironmentSampler,
+    sets: &LightSets,
     around: &Around<'_>,
     config: &RelightConfig,
 ) -> Lit {
     let shading = Shading::new(point.material, point.normal, point.view);
     let mut rng = Rng::stream(config.seed, stream);
-    let [by_light, by_brdf] = [(); 2].map(|()| Vec2::new(rng.uniform(), rng.uniform()));
+    let by_brdf = Vec2::new(rng.uniform(), rng.uniform());
     let (n, m) = (config.light_rays as f32, config.brdf_rays as f32);
     let mut lit = Lit::default();
-    let mut add = |direction: Vec3, radiance: Vec3, own: f32, other: f32| {
+    let mut add = |direction: Vec3, radiance: Vec3, own: f32, other: f32, by_light: bool| {
         let Some(reflection) = shading.reflect(direction) else { return };
         let scale = match config.heuristic {
             Heuristic::Balance => 1.0 / (own + other),
@@ -56,20 +58,20 @@ pub(super) fn shade(
         if !(own > 0.0 && scale.is_finite()) {
             return;
         }
-        let (open, incoming) = around.look(direction);
+        let (open, incoming) =
+            if by_light { around.look_at_light(direction) } else { around.look(direction) };
         let direct = scale * open * radiance;
         lit.diffuse += reflection.diffuse * direct;
         lit.specular += reflection.specular * direct;
         lit.indirect += scale * reflection.value() * incoming;
     };
-    for s in 0..config.light_rays {
-        let sample = light.sample(hammersley(s, config.light_rays, by_light));
-        add(sample.direction, sample.radiance, n * sample.pdf, m * shading.pdf(sample.direction));
+    for sample in sets.choose(&mut rng) {
+        add(sample.direction, sample.radiance, n * sample.pdf, m * shading.pdf(sample.direction), true);
     }
     for s in 0..config.brdf_rays {
         let Some(direction) = by_lobe(&shading, hammersley(s, config.brdf_rays, by_brdf)) else { continue };
         let (radiance, pdf) = light.evaluate(direction);
-        add(direction, radiance, m * shading.pdf(direction), n * pdf);
+        add(direction, radiance, m * shading.pdf(direction), n * pdf, false);
     }
     lit
 }
@@ -81,19 +83,20 @@ fn by_lobe(shading: &Shading, u: Vec2) -> Option<Vec3> {
     shading.sample(u.x, Vec2::new(x.min(1.0 - f32::EPSILON / 2.0), u.y))
 }
 
-/// Irradiance ∫ (1 − O) L cos θ dω of a surface with a unit normal, `around` being there: half of the samples by the
-/// light and half by the cosine, with the balance heuristic.
+/// Irradiance ∫ (1 − O) L cos θ dω of a surface with a unit normal, `around` being there: samples by the
+/// light (`sets`) and as many by the cosine, with the balance heuristic.
 pub(super) fn irradiance(
     normal: Vec3,
     stream: u64,
     light: &EnvironmentSampler,
+    sets: &LightSets,
     around: &Around<'_>,
-    rays: u32,
     seed: u64,
 ) -> Vec3 {
     let mut rng = Rng::stream(seed, stream);
-    let [by_light, by_cosine] = [(); 2].map(|()| Vec2::new(rng.uniform(), rng.uniform()));
-    let each = (rays / 2).max(1);
+    let by_cosine = Vec2::new(rng.uniform(), rng.uniform());
+    let by_light = sets.choose(&mut rng);
+    let each = by_light.len() as u32;
     let mut sum = Vec3::ZERO;
     let mut add = |direction: Vec3, radiance: Vec3, pdf: f32| {
         let cosine = normal.dot(direction);
@@ -102,8 +105,7 @@ pub(super) fn irradiance(
             sum += around.look(direction).0 * cosine / density * radiance;
         }
     };
-    for s in 0..each {
-        let sample = light.sample(hammersley(s, each, by_light));
+    for sample in by_light {
         add(sample.direction, sample.radiance, sample.pdf);
     }
     let frame = world_from_tangent(normal);

@@ -28,17 +28,20 @@ pub(super) struct Probes<'a> {
     pub lookup: LookupConfig,
     /// Whether the textures' radiance is that of the light that is scattered.
     pub glowing: bool,
+    /// Rays for the samples that the light proposes, and the height above the surface at which they start.
+    pub rays: Option<(Tracer, f32)>,
 }
 
 impl<'a> Probes<'a> {
     pub fn new(set: &'a ProbeSet, config: &super::RelightConfig) -> Self {
         let config = ProbeConfig {
             neighbours: config.neighbours,
+            radius: config.radius,
             visibility: config.hidden_probes,
             ..ProbeConfig::default()
         };
         let (index, lookup) = (set.index(&config), LookupConfig::new(set, &config));
-        Self { set: Cow::Borrowed(set), index, lookup, glowing: false }
+        Self { set: Cow::Borrowed(set), index, lookup, glowing: false, rays: None }
     }
 
     fn near(&self, position: Vec3, normal: Vec3) -> Neighbours {
@@ -70,8 +73,22 @@ impl<'s> Around<'s> {
             Surroundings::Open => {}
             Surroundings::Probes(probes) => {
                 probes.set.blend(&probes.near(position, normal), &mut self.texture);
+                let offset = probes.rays.as_ref().map_or(0.0, |(_, offset)| *offset);
+                self.origin = position + offset * normal;
             }
             Surroundings::Trace { offset, .. } => self.origin = position + *offset * normal,
+        }
+    }
+
+    /// [`Around::look`] in the direction of a sample that the light proposed.
+    #[inline]
+    pub fn look_at_light(&self, direction: Vec3) -> (f32, Vec3) {
+        let (open, incoming) = self.look(direction);
+        match self.surroundings {
+            Surroundings::Probes(Probes { rays: Some((tracer, _)), .. }) => {
+                (tracer.transmittance(self.origin, direction, 0.0, f32::INFINITY), incoming)
+            }
+            _ => (open, incoming),
         }
     }
 

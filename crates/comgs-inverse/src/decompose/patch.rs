@@ -80,7 +80,7 @@ impl Source {
             cy: self.camera.cy - y0 as f64,
             ..self.camera.clone()
         };
-        let comparison = if self.hdr { Comparison::Linear } else { Comparison::Srgb };
+        let comparison = if self.hdr { Comparison::Coded } else { Comparison::Srgb };
         let valid = self.valid.as_ref().map(crop);
         Patch {
             camera,

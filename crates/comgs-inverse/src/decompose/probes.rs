@@ -15,6 +15,9 @@ const FUSION_SIDE: usize = 300;
 /// Weight of a pixel below which it has no depth for fusion.
 const FUSION_WEIGHT: f32 = 0.8;
 
+/// Views that must agree where too few do for the usual number.
+const RELAXED_VIEWS: usize = 3;
+
 /// Size of an object: the longest side of the box around the central 98 % of its surfels, by axis, so that stray surfels do
 /// not count. World units.
 #[must_use]
@@ -45,7 +48,17 @@ pub fn place(
     report: &mut DecomposeReport,
 ) -> Result<ProbeSet, TrainError> {
     let views: Vec<DepthView> = cameras.iter().map(|c| depth_view(c, cloud, raster)).collect();
-    let (points, fusion) = fuse(&views, &FusionConfig::default()).map_err(error)?;
+    let strict = FusionConfig::default();
+    let (points, fusion) = fuse(&views, &strict).or_else(|first| {
+        // Sparse captures: three views that agree are still a surface, and better than none.
+        let relaxed = FusionConfig { min_consistent_views: RELAXED_VIEWS, ..strict };
+        let found = fuse(&views, &relaxed).map_err(|_| error(first))?;
+        report.warnings.push(format!(
+            "no point is consistent in {} views; probes stand where {RELAXED_VIEWS} agree",
+            FusionConfig::default().min_consistent_views
+        ));
+        Ok(found)
+    })?;
     report.fused_points = points.positions.len();
     report.fused_share = fusion.points() as f32 / fusion.usable.max(1) as f32;
     comgs_probe::place(&points, &probe_config(config), object_size(cloud)).map_err(error)

@@ -319,3 +319,6 @@ fn point_vjp(
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -216,8 +216,10 @@ fn read_light(path: &Path, run: &mut Run, context: &Context<'_>) -> Result<Envir
 fn evaluate(input: &Input, context: &Context<'_>) -> Result<Option<eval::Evaluation>, PipelineError> {
     let Some(truth) = &input.truth else { return Ok(None) };
     let json = Some(input.output.join("scores.json"));
-    let evaluation =
-        eval::run(&eval::Input { subject: input.output.clone(), against: truth.clone(), json }, context)?;
+    let evaluation = eval::run(
+        &eval::Input { subject: input.output.clone(), against: truth.clone(), relit: None, json },
+        context,
+    )?;
     Ok(Some(evaluation))
 }
 

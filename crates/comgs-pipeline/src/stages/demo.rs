@@ -95,7 +95,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
 
     let score = |asset: &Path, capture: &Path| {
         let against = capture.to_owned();
-        eval::run(&eval::Input { subject: asset.to_owned(), against, json: None }, context)
+        eval::run(&eval::Input { subject: asset.to_owned(), against, relit: None, json: None }, context)
     };
     let object_scores = run.time("score object", || score(&object, &object_capture))?;
     let scene_scores = run.time("score scene", || score(&scene, &scene_capture))?;

@@ -2,11 +2,13 @@
 
 pub mod asset;
 pub mod composition;
+pub mod relit;
 pub mod table;
 
 pub use table::{Section, Table};
 
 use crate::source::Source;
+use crate::stages::relight;
 use crate::{Context, PipelineError, output, record::write_json};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -18,6 +20,8 @@ pub struct Input {
     pub subject: PathBuf,
     /// A capture with test views, or a composition with `images/`, `mask/` and `empty/`.
     pub against: PathBuf,
+    /// Ground truth of an asset under other lights: a folder `object_relit/NAME` ([`relit::evaluate`]).
+    pub relit: Option<PathBuf>,
     /// Where to write the scores as JSON.
     pub json: Option<PathBuf>,
 }
@@ -65,7 +69,11 @@ pub fn run(input: &Input, context: &Context<'_>) -> Result<Evaluation, PipelineE
     if let Some(path) = &input.json {
         output::check_file(path)?;
     }
-    let evaluation = if is_frames(&input.subject) {
+    let mut evaluation = if is_frames(&input.subject) {
+        if let Some(root) = &input.relit {
+            let got = format!("frames, {}", input.subject.display());
+            return Err(PipelineError::input(root.display().to_string(), "an asset to relight", got));
+        }
         composition::evaluate(&input.subject, &input.against, context)?
     } else {
         match Source::of(&input.subject)? {
@@ -79,6 +87,12 @@ pub fn run(input: &Input, context: &Context<'_>) -> Result<Evaluation, PipelineE
             _ => asset::evaluate(&input.subject, &input.against, context)?,
         }
     };
+    if let Some(root) = &input.relit {
+        let config = relight::Config::default();
+        let (sections, remarks) = relit::evaluate(&input.subject, &input.against, root, &config, context)?;
+        evaluation.sections.extend(sections);
+        evaluation.remarks.extend(remarks);
+    }
     if let Some(path) = &input.json {
         write_json(path, &evaluation)?;
     }

@@ -112,6 +112,7 @@ const CAMERAS_FILE: &str = "cameras.json";
 ///
 /// # Errors
 /// [`PipelineError::Input`] for an asset without material, values out of range, and an output that is the input;
+/// [`PipelineError::Output`] for a folder that cannot be written;
 /// [`PipelineError::Scene`] when the asset is damaged or the new one cannot be written (the old one then stays).
 pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Output, PipelineError> {
     config.check()?;
@@ -130,6 +131,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         context.progress.end("unchanged since the last run; nothing to do");
         return Ok(Output { asset: input.output.clone(), reused: true, record });
     }
+    run.check_output()?;
     run.describe(fingerprint, json!({"asset": input.asset}), config, None)?;
     let (mut asset, notes) = run.time("load", || load(&input.asset))?;
     for note in notes {

@@ -1,6 +1,6 @@
 //! Depth fusion against surfaces whose points and normals are known on paper.
 
-use crate::support::fibonacci;
+use crate::round::fibonacci;
 use comgs_geom::{Camera, Rng};
 use comgs_image::Image;
 use comgs_probe::{DepthView, FusionConfig, OrientedPoints, ProbeError, fuse};
@@ -65,16 +65,17 @@ fn a_sphere_is_recovered() {
     assert_eq!(misses + hits, report.usable * report.tested);
 }
 
-/// Goal: a view whose depth is wrong by 3 % contributes no point and draws none towards it.
+/// Goal: a view whose depth is wrong by 3 % contributes next to no points and draws none towards it.
 #[test]
 fn a_wrong_view_is_outvoted() {
     let mut views = sphere_views(40);
     let wrong = 7;
     views[wrong].depth = views[wrong].depth.map(|d| 1.03 * d);
     let (points, _) = fuse(&views, &FusionConfig::default()).unwrap();
-    let e = errors(&points);
-    let w = points.positions.iter().filter(|p| (p.as_dvec3().length() - RADIUS).abs() > 7e-4).count();
-    panic!("{e:?} {w} {}", points.positions.len());
+    // The view's own points would be 0.048 off. A few at its limb lie so flat along its rays that they agree: 0.0027.
+    let off: Vec<f64> = points.positions.iter().map(|p| (p.as_dvec3().length() - RADIUS).abs()).collect();
+    assert!(off.iter().all(|e| *e < 0.005), "{:?}", errors(&points));
+    assert!(off.iter().filter(|e| **e > 7e-4).count() * 500 < off.len());
     // The same with its normals turned by 20°: the rest still agrees.
     let mut views = sphere_views(40);
     let tilt = glam::Quat::from_rotation_x(20f32.to_radians());

@@ -1,6 +1,7 @@
 //! The same bytes at any thread count.
 
-use crate::support::{ball, empty, fibonacci, tracer};
+use crate::round::{ball, fibonacci};
+use crate::support::{empty, tracer};
 use comgs_geom::Camera;
 use comgs_image::Image;
 use comgs_probe::{

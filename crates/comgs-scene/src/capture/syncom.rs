@@ -92,8 +92,10 @@ fn frame(entry: Entry, location: &str, listing: &mut Listing) {
         fault(ProblemKind::Intrinsics, "intr", format!("{} numbers, expected fx, fy, cx, cy", intr.len()));
     }
     for (i, (name, &v)) in ["fx", "fy", "cx", "cy"].iter().zip(intr).enumerate() {
-        if !v.is_finite() || (i < 2 && v == 0.0) {
-            fault(ProblemKind::Intrinsics, &format!("intr[{i}]"), format!("{name} is {v}"));
+        if !v.is_finite() || (i < 2 && v <= 0.0) {
+            let expected = if i < 2 { "a positive focal length" } else { "a finite principal point" };
+            let message = format!("{name} is {v}, expected {expected} in pixels");
+            fault(ProblemKind::Intrinsics, &format!("intr[{i}]"), message);
         }
     }
     let world_from_camera = entry.extr.matrix().and_then(pose);

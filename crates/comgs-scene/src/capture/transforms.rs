@@ -200,10 +200,18 @@ fn frame(entry: Entry, parameters: &Parameters, location: &str, listing: &mut Li
         None => fault(ProblemKind::Intrinsics, "", "no focal length: neither fl_x nor camera_angle_x".into()),
         Some(i) => {
             if !i.x.is_sound() {
-                fault(ProblemKind::Intrinsics, "fl_x", format!("the horizontal focal length is {:?}, expected a positive one", i.x));
+                fault(
+                    ProblemKind::Intrinsics,
+                    "fl_x",
+                    format!("the horizontal focal length is {:?}, expected a positive one", i.x),
+                );
             }
             if let Some(y) = i.y.filter(|y| !y.is_sound()) {
-                fault(ProblemKind::Intrinsics, "fl_y", format!("the vertical focal length is {y:?}, expected a positive one"));
+                fault(
+                    ProblemKind::Intrinsics,
+                    "fl_y",
+                    format!("the vertical focal length is {y:?}, expected a positive one"),
+                );
             }
             for (name, v) in [("cx", i.cx), ("cy", i.cy)] {
                 if let Some(v) = v.filter(|v| !v.is_finite()) {

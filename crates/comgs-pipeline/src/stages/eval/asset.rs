@@ -152,7 +152,7 @@ fn planes(frame: &Frame, view: &View, record: &ViewRecord) -> Result<[Option<f64
 }
 
 /// Rendered and true albedo, both over black.
-fn albedo_pair(
+pub(super) fn albedo_pair(
     frame: &Frame,
     view: &View,
     record: &ViewRecord,
@@ -227,7 +227,7 @@ pub(super) fn over_black(view: &View) -> Image {
 }
 
 /// A picture of straight alpha over black.
-fn times_alpha(mut color: Image, alpha: Option<&Image>) -> Image {
+pub(super) fn times_alpha(mut color: Image, alpha: Option<&Image>) -> Image {
     if let Some(alpha) = alpha {
         for (pixel, a) in color.data.chunks_exact_mut(color.channels).zip(&alpha.data) {
             pixel.iter_mut().for_each(|v| *v *= a);
