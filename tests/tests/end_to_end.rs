@@ -19,7 +19,8 @@ fn asset(capture: &Path, output: PathBuf, kind: Kind, max_surfels: usize) -> Pat
 }
 
 fn psnr(subject: &Path, against: &Path, section: &str, key: &str) -> f64 {
-    let input = eval::Input { subject: subject.to_owned(), against: against.to_owned(), relit: None, json: None };
+    let input =
+        eval::Input { subject: subject.to_owned(), against: against.to_owned(), relit: None, json: None };
     let evaluation = eval::run(&input, &Context::silent()).unwrap();
     evaluation.section(section).unwrap().table.mean(key).unwrap()
 }

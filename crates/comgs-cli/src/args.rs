@@ -358,11 +358,23 @@ pub(crate) struct Render {
     pub layers: bool,
 }
 
+/// What an object hides from itself.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum SelfShadow {
+    /// Probes, with traced rays towards the light: sharp shadows of small lights
+    Mixed,
+    /// Probes alone: twice as fast, soft shadows
+    Probes,
+    /// A traced ray for every sample
+    Trace,
+    /// Nothing
+    None,
+}
+
 /// Show a decomposed object under another light
 ///
 /// Needs the material that `comgs decompose` adds. Light and surface both propose the directions that are looked at, so a
-/// polished object under a small sun is as free of noise as a matte one under a cloudy sky. What the object hides from
-/// itself comes from its probes.
+/// polished object under a small sun is as free of noise as a matte one under a cloudy sky.
 #[derive(Debug, Args)]
 #[command(
     group = ArgGroup::new("views").required(true).args(["cameras", "turntable"]),
@@ -406,8 +418,8 @@ pub(crate) struct Relight {
     pub background: bool,
 
     /// What the object hides from itself; an object without probes is traced
-    #[arg(long, value_enum, default_value = "probes")]
-    pub visibility: Visibility,
+    #[arg(long, value_enum, default_value = "mixed")]
+    pub visibility: SelfShadow,
 
     /// Add light that bounces once between the object's own surfaces
     #[arg(long)]

@@ -204,7 +204,12 @@ fn run_relight(a: &args::Relight, context: &Context<'_>) -> anyhow::Result<()> {
     let config = relight::Config {
         quality: a.quality.into(),
         rays: a.rays,
-        visibility: a.visibility.into(),
+        visibility: match a.visibility {
+            args::SelfShadow::Mixed => relight::Visibility::Mixed,
+            args::SelfShadow::Probes => relight::Visibility::Probes,
+            args::SelfShadow::Trace => relight::Visibility::Trace,
+            args::SelfShadow::None => relight::Visibility::None,
+        },
         indirect: a.indirect,
         layers: a.layers,
         background: a.background,

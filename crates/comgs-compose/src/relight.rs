@@ -11,7 +11,7 @@
 //! both quiet. The map is piecewise constant ([`EnvironmentMap::radiance`]) and the light's density exact, so one texel of
 //! 10⁵ costs no more than any other (`tests/relight.rs`).
 //!
-//! O comes from the object's probes or from rays; L_in, which the paper leaves out here, from [`bounce`] on request.
+//! O comes from the object's probes, from rays, or from both ([`SelfOcclusion`]); L_in, which the paper leaves out here, from [`bounce`] on request.
 //!
 //! [`mod@reference`] says the same in f64 by brute force over all texels.
 
@@ -41,6 +41,7 @@ use comgs_surfel::{MaterialColumns, SurfelCloud};
 use comgs_trace::{TraceConfig, Tracer};
 use light_sets::LightSets;
 use rayon::prelude::*;
+use shade::streams;
 use std::borrow::Cow;
 use std::time::Instant;
 use surroundings::{Around, Probes, Surroundings};
@@ -84,7 +85,7 @@ impl Preparation {
 impl<'a> Relighter<'a> {
     /// Prepares an object in world space and a light.
     ///
-    /// `probes` are looked at only with [`SelfOcclusion::Probes`]. With [`Indirect::OneBounce`] their radiance is baked
+    /// `probes` are looked at only with [`SelfOcclusion::Probes`] and [`SelfOcclusion::Mixed`]. With [`Indirect::OneBounce`] their radiance is baked
     /// anew in a copy; their occlusion stays as it is.
     ///
     /// # Errors
@@ -113,26 +114,8 @@ impl<'a> Relighter<'a> {
         let start = Instant::now();
         let (material, diameter) = check(cloud, &config)?;
         let light = EnvironmentSampler::new(light);
-        let sets = LightSets::new(&light, config.light_rays, config.seed, shade::OTHER_STREAMS - 2);
-        let mut surroundings = match config.self_occlusion {
-            SelfOcclusion::None => Surroundings::Open,
-            SelfOcclusion::Probes => {
-                Surroundings::Probes(Probes::new(sound(probes.ok_or(RelightError::NoProbes)?)?, &config))
-            }
-            SelfOcclusion::Mixed => {
-                let set = sound(probes.ok_or(RelightError::NoProbes)?)?;
-                let trace = Instant::now();
-                let rays = Some((tracer(cloud)?, config.trace_offset * diameter));
-                preparation.trees_s = trace.elapsed().as_secs_f64();
-                Surroundings::Probes(Probes { rays, ..Probes::new(set, &config) })
-            }
-            SelfOcclusion::Trace => {
-                let trace = Instant::now();
-                let tracer = tracer(cloud)?;
-                preparation.trees_s = trace.elapsed().as_secs_f64();
-                Surroundings::Trace { tracer, offset: config.trace_offset * diameter, glowing: false }
-            }
-        };
+        let sets = LightSets::new(&light, config.light_rays, config.seed, streams::LIGHT);
+        let mut surroundings = surroundings(cloud, probes, &config, diameter, &mut preparation)?;
         preparation.tables_s = start.elapsed().as_secs_f64() - preparation.trees_s;
         if config.indirect == Indirect::OneBounce {
             let start = Instant::now();
@@ -210,8 +193,8 @@ impl<'a> Relighter<'a> {
         around.go_to(point.position, point.normal);
         let lit = shade::shade(point, stream, &self.light, &self.sets, around, &self.config);
         let visibility = if self.config.layers {
-            let seed = self.config.seed ^ shade::OTHER_STREAMS;
-            shade::visibility(point.normal, stream, around, VISIBILITY_RAYS, seed)
+            let stream = streams::VISIBILITY + stream;
+            shade::visibility(point.normal, stream, around, VISIBILITY_RAYS, self.config.seed)
         } else {
             0.0
         };
@@ -265,6 +248,31 @@ fn check<'a>(
     }
     let (_, radius) = bounding_sphere(cloud).ok_or(RelightError::Invisible(cloud.len()))?;
     Ok((material, 2.0 * radius))
+}
+
+/// What the object hides, without what it sends.
+fn surroundings<'a>(
+    cloud: &SurfelCloud,
+    probes: Option<&'a ProbeSet>,
+    config: &RelightConfig,
+    diameter: f32,
+    preparation: &mut Preparation,
+) -> Result<Surroundings<'a>, RelightError> {
+    let offset = config.trace_offset * diameter;
+    let start = Instant::now();
+    let tracer = match config.self_occlusion {
+        SelfOcclusion::Trace | SelfOcclusion::Mixed => Some(tracer(cloud)?),
+        SelfOcclusion::Probes | SelfOcclusion::None => None,
+    };
+    preparation.trees_s = start.elapsed().as_secs_f64();
+    Ok(match (config.self_occlusion, tracer) {
+        (SelfOcclusion::Trace, Some(tracer)) => Surroundings::Trace { tracer, offset, glowing: false },
+        (SelfOcclusion::Probes | SelfOcclusion::Mixed, tracer) => {
+            let set = sound(probes.ok_or(RelightError::NoProbes)?)?;
+            Surroundings::Probes(Probes { rays: tracer.map(|t| (t, offset)), ..Probes::new(set, config) })
+        }
+        (SelfOcclusion::Trace | SelfOcclusion::None, _) => Surroundings::Open,
+    })
 }
 
 /// Probes that can be looked up.

@@ -494,6 +494,7 @@ fn bad_input_is_named() {
     let probed = || config(SelfOcclusion::Probes);
     let expect = |text: String, words: &str| assert!(text.contains(words), "{text}");
     expect(fail(&cloud, None, probed()), "no probes");
+    expect(fail(&cloud, None, config(SelfOcclusion::Mixed)), "no probes");
     expect(
         fail(
             &cloud,
@@ -516,4 +517,35 @@ fn bad_input_is_named() {
         matches!(stopped, Some(RelightError::Probes(ProbeError::Cancelled { total: 50, .. }))),
         "{stopped:?}"
     );
+}
+
+/// Goal: the shadow of an edge under a small sun is sharp where the light's samples are traced, with half of the rays of
+/// full tracing; probes blur it.
+#[test]
+fn mixed_shadows_are_sharp() {
+    let mut cloud = empty();
+    block(&mut cloud, Vec3::new(-0.6, -0.6, -0.1), Vec3::new(0.6, 0.6, 0.0), 0.03, MATTE);
+    block(&mut cloud, Vec3::new(-0.6, -0.3, 0.2), Vec3::new(0.0, 0.3, 0.3), 0.03, MATTE);
+    let set = probes(&cloud, 1500, 1.2);
+    let mut image = Image::filled(128, 64, 3, 0.3);
+    // 46° above the horizon of +x.
+    image.pixel_mut(64, 15).fill(2000.0);
+    let map = EnvironmentMap::from_image(&image).unwrap();
+    let line = |self_occlusion| -> Vec<f32> {
+        let config = RelightConfig { self_occlusion, ..RelightConfig::reference() };
+        let relighter = Relighter::new(&cloud, Some(&set), &map, config).unwrap();
+        let point = |x: i32| Point {
+            position: Vec3::new(0.02 * x as f32, 0.0, 0.0),
+            normal: Vec3::Z,
+            view: Vec3::Z,
+            material: MATTE,
+        };
+        (-25..25).map(|x| relighter.radiance(&point(x), 0).total().x).collect()
+    };
+    let (traced, mixed, probed) =
+        (line(SelfOcclusion::Trace), line(SelfOcclusion::Mixed), line(SelfOcclusion::Probes));
+    let apart = |a: &[f32]| a.iter().zip(&traced).map(|(a, b)| (a - b).abs()).sum::<f32>() / 50.0;
+    // Found: 0.004 and 0.035 of a floor that is 0.86 bright in the sun.
+    assert!(apart(&mixed) < 0.01, "{mixed:.2?} {traced:.2?}");
+    assert!(apart(&probed) > 4.0 * apart(&mixed), "{probed:.2?} {traced:.2?}");
 }

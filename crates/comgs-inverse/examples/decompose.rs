@@ -49,7 +49,13 @@ fn over_black(view: &TrainView) -> Image {
 }
 
 /// The object under a light, its albedo multiplied by a factor a channel.
-fn relit(d: &Decomposed, light: &OctahedralLight, camera: &comgs_geom::Camera, raster: &RasterConfig, factor: Vec3) -> Image {
+fn relit(
+    d: &Decomposed,
+    light: &OctahedralLight,
+    camera: &comgs_geom::Camera,
+    raster: &RasterConfig,
+    factor: Vec3,
+) -> Image {
     let frame = render(&d.cloud, camera, Planes::ALL, raster);
     let mut points = Vec::new();
     let pixels = shading_points(&frame, camera, &mut points);
@@ -107,7 +113,8 @@ fn main() {
     let cloud = Asset::load(asset).expect("an asset").surfels;
     let load = |split| Capture::open(capture, split).and_then(|c| c.load(&LoadOptions::default()));
     let views: Vec<TrainView> = load(Split::Train).expect("capture").into_iter().map(to_train).collect();
-    let made = comgs_inverse::decompose(&views, &cloud, &config, None, &mut Log(Instant::now())).expect("decomposition");
+    let made = comgs_inverse::decompose(&views, &cloud, &config, None, &mut Log(Instant::now()))
+        .expect("decomposition");
     println!("{:#?}", made.report);
     let map = made.light.to_environment(256);
     write_png(&out.join("light.png"), map.image()).expect("a writable folder");
@@ -137,7 +144,8 @@ fn main() {
             }
             let w = frame.weight.data[i];
             for c in 0..3 {
-                let (a, b) = (f64::from(material.data[5 * i + c] / w), f64::from(truth.data[truth.channels * i + c]));
+                let (a, b) =
+                    (f64::from(material.data[5 * i + c] / w), f64::from(truth.data[truth.channels * i + c]));
                 cross[c] += a * b;
                 square[c] += a * a;
             }
@@ -175,7 +183,12 @@ fn main() {
         }
     }
     let n = albedos.len() as f64;
-    println!("normal MAE {:.2}°  roughness MAE {:.3}  metallic MAE {:.3}", normals / count, rough / count, metal / count);
+    println!(
+        "normal MAE {:.2}°  roughness MAE {:.3}  metallic MAE {:.3}",
+        normals / count,
+        rough / count,
+        metal / count
+    );
     println!("albedo {:.2} dB aligned (factor {factor:.3}), {:.2} dB unaligned", aligned / n, raw / n);
     let cameras = comgs_scene::read_cameras(relit_root.join("cameras.json")).expect("cameras");
     let mut all = Vec::new();
@@ -187,10 +200,15 @@ fn main() {
         let light = OctahedralLight::from_environment(&map, 256);
         let (mut raw, mut aligned, mut ssim, mut n) = (0.0, 0.0, 0.0, 0.0);
         for camera in &cameras {
-            let Ok(truth) = comgs_image::read(&entry.path().join(format!("{}.png", camera.name))) else { continue };
+            let Ok(truth) = comgs_image::read(&entry.path().join(format!("{}.png", camera.name))) else {
+                continue;
+            };
             let mut goal = truth.color.select(&[0, 1, 2]);
             if let Some(alpha) = &truth.alpha {
-                goal.data.chunks_exact_mut(3).zip(&alpha.data).for_each(|(p, m)| p.iter_mut().for_each(|v| *v *= m));
+                goal.data
+                    .chunks_exact_mut(3)
+                    .zip(&alpha.data)
+                    .for_each(|(p, m)| p.iter_mut().for_each(|v| *v *= m));
             }
             let a = relit(&made, &light, camera, &raster, Vec3::ONE);
             let b = relit(&made, &light, camera, &raster, factor);
@@ -199,11 +217,17 @@ fn main() {
             ssim += comgs_metrics::ssim(&b, &goal, comgs_metrics::Border::Valid, None).expect("sizes").mean;
             if n as usize % 6 == 2 {
                 let all = side_by_side(&[&a, &b, &goal]);
-                write_png(&out.join(format!("relit_{name}_{}.png", camera.name)), &all).expect("a writable folder");
+                write_png(&out.join(format!("relit_{name}_{}.png", camera.name)), &all)
+                    .expect("a writable folder");
             }
             n += 1.0;
         }
-        println!("relit {name}: {:.2} dB aligned, {:.2} dB unaligned, SSIM {:.4}", aligned / n, raw / n, ssim / n);
+        println!(
+            "relit {name}: {:.2} dB aligned, {:.2} dB unaligned, SSIM {:.4}",
+            aligned / n,
+            raw / n,
+            ssim / n
+        );
         all.push(aligned / n);
     }
     println!("relit mean {:.2} dB aligned", all.iter().sum::<f64>() / all.len() as f64);

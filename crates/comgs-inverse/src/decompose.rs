@@ -25,17 +25,19 @@ pub mod proposal;
 pub mod scale;
 pub mod shade;
 
+use crate::TrainError;
 use crate::geometry_loss::{depth_normal, mask_cross_entropy};
 use crate::train::{MIN_VIEWS, Observer, TrainStatus, near_plane};
 use crate::view::{Rig, TrainView};
-use crate::TrainError;
 use comgs_geom::Rng;
 use comgs_image::Image;
 use comgs_light::brdf::Material;
 use comgs_light::{LightPyramid, OctahedralLight, luminance};
 use comgs_optim::{Adam, AdamConfig, Photometric, schedule};
 use comgs_probe::{BakeObserver, LookupConfig, ProbeConfig, ProbeError, ProbeIndex, ProbeSet};
-use comgs_raster::{Frame, FrameGradient, Planes, RasterConfig, SurfelGradients, Workspace, backward, forward};
+use comgs_raster::{
+    Frame, FrameGradient, Planes, RasterConfig, SurfelGradients, Workspace, backward, forward,
+};
 use comgs_surfel::activation::{logit, sigmoid};
 use comgs_surfel::{MaterialColumns, SurfelCloud};
 use comgs_trace::{TraceConfig, Tracer};
@@ -149,7 +151,11 @@ pub fn decompose(
     let mut report = DecomposeReport::default();
     let (rig, sources) = check(views, cloud, config, &mut report)?;
     let raster = RasterConfig { near: near_plane(&rig), transmittance_min: 1e-3, ..Default::default() };
-    observer.progress(&TrainStatus { phase: "placing probes", iterations: config.iterations, ..Default::default() });
+    observer.progress(&TrainStatus {
+        phase: "placing probes",
+        iterations: config.iterations,
+        ..Default::default()
+    });
 
     let scene = Visible::new(views, cloud, config, &raster, &mut report, observer)?;
     report.init_seconds = start.elapsed().as_secs_f64();
@@ -291,7 +297,9 @@ fn check(
     if let AlbedoScale::GreyCard { view, x, y, .. } = config.albedo_scale {
         let inside = views.get(view).is_some_and(|v| x < v.camera.width && y < v.camera.height);
         if !inside {
-            return Err(TrainError::Config(format!("the grey card's pixel {x},{y} of view {view} does not exist")));
+            return Err(TrainError::Config(format!(
+                "the grey card's pixel {x},{y} of view {view} does not exist"
+            )));
         }
     }
     let cameras: Vec<_> = views.iter().map(|v| &v.camera).collect();
@@ -313,8 +321,14 @@ fn check(
 }
 
 /// Grey light as bright as the prior wants it, the photos' mean colours as albedo, and what a mid surface is otherwise.
-fn initial_state(sources: &[Source], cloud: &SurfelCloud, scene: &Visible, config: &DecomposeConfig) -> State {
-    let (sum, count) = sources.iter().map(Source::radiance_sum).fold((DVec3::ZERO, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+fn initial_state(
+    sources: &[Source],
+    cloud: &SurfelCloud,
+    scene: &Visible,
+    config: &DecomposeConfig,
+) -> State {
+    let (sum, count) =
+        sources.iter().map(Source::radiance_sum).fold((DVec3::ZERO, 0), |a, b| (a.0 + b.0, a.1 + b.1));
     let mean = (sum / count.max(1) as f64).as_vec3();
     let level = scale::initial_light(mean, config.albedo_mean);
     let mut cloud = cloud.clone();
@@ -583,7 +597,8 @@ impl<'a> Trainer<'a> {
         dropped += material.step_rows(&mut raw, g.material_logits.as_flattened(), &[a, a, a, m, m], t, &adam);
         deinterleave(&raw, columns);
 
-        let mut grad_levels: Vec<Vec<f32>> = state.pyramid.levels.iter().map(|l| vec![0.0; l.len()]).collect();
+        let mut grad_levels: Vec<Vec<f32>> =
+            state.pyramid.levels.iter().map(|l| vec![0.0; l.len()]).collect();
         state.pyramid.vjp(light, grad_light, &mut grad_levels);
         for ((level, grad), moments) in
             state.pyramid.levels.iter_mut().zip(&grad_levels).zip(&mut state.adam_light)
@@ -769,7 +784,8 @@ fn plane_gradients(
     gradient: &mut FrameGradient,
 ) {
     let (Some(normal), Some(material)) = (&frame.normal, &frame.material) else { return };
-    let FrameGradient { weight: Some(grad_w), normal: Some(grad_n), material: Some(grad_m), .. } = gradient else {
+    let FrameGradient { weight: Some(grad_w), normal: Some(grad_n), material: Some(grad_m), .. } = gradient
+    else {
         return;
     };
     for ((&i, point), g) in pixels.iter().zip(points).zip(grad_points) {
@@ -801,9 +817,11 @@ fn finish(
         AlbedoScale::Prior => [1.0; 3],
         AlbedoScale::Factor(f) => f,
         AlbedoScale::GreyCard { view, x, y, albedo } => {
-            let seen = albedo_at(&cloud, &sources[view], x, y, &trainer.raster).ok_or_else(
-                || TrainError::Config(format!("the grey card's pixel {x},{y} of view {view} does not show the object")),
-            )?;
+            let seen = albedo_at(&cloud, &sources[view], x, y, &trainer.raster).ok_or_else(|| {
+                TrainError::Config(format!(
+                    "the grey card's pixel {x},{y} of view {view} does not show the object"
+                ))
+            })?;
             std::array::from_fn(|k| albedo / seen[k].max(1e-4))
         }
     };
@@ -857,7 +875,13 @@ fn finish(
 }
 
 /// Albedo that a view shows at a pixel; `None` where it shows nothing.
-fn albedo_at(cloud: &SurfelCloud, source: &Source, x: usize, y: usize, raster: &RasterConfig) -> Option<[f32; 3]> {
+fn albedo_at(
+    cloud: &SurfelCloud,
+    source: &Source,
+    x: usize,
+    y: usize,
+    raster: &RasterConfig,
+) -> Option<[f32; 3]> {
     let frame = comgs_raster::render(cloud, source.camera(), Planes::ALL, raster);
     let i = y * frame.weight.width + x;
     let w = frame.weight.data[i];

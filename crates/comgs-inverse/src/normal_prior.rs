@@ -90,8 +90,12 @@ pub fn normal_bend(
         .collect::<Vec<f64>>()
         .iter()
         .sum();
-    grad_normal.data.par_chunks_mut(3 * width).zip(grad_weight.data.par_chunks_mut(width)).enumerate().for_each(
-        |(y, (grad_normal, grad_weight))| {
+    grad_normal
+        .data
+        .par_chunks_mut(3 * width)
+        .zip(grad_weight.data.par_chunks_mut(width))
+        .enumerate()
+        .for_each(|(y, (grad_normal, grad_weight))| {
             for x in 0..width {
                 let i = y * width + x;
                 let w = frame.weight.data[i];
@@ -116,7 +120,6 @@ pub fn normal_bend(
                 }
                 grad_weight[x] -= g.dot(unit[i]) / w;
             }
-        },
-    );
+        });
     weight * (value / (2 * n) as f64) as f32
 }

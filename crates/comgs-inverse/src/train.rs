@@ -5,13 +5,15 @@ use crate::config::{Kind, TrainConfig};
 use crate::density::{self, DensityConfig, Evidence};
 use crate::geometry_loss::{depth_normal, mask_cross_entropy};
 use crate::init::sweep::{SweepConfig, plane_sweep};
-use crate::normal_prior::normal_bend;
 use crate::init::{self, SurfacePoint, background, hull};
+use crate::normal_prior::normal_bend;
 use crate::view::{LevelView, Rig, TrainView};
 use comgs_geom::{Rng, sh};
 use comgs_image::Image;
 use comgs_optim::{Adam, AdamConfig, Photometric, schedule};
-use comgs_raster::{FrameGradient, Planes, RasterConfig, SurfelGradients, Workspace, backward, forward, render};
+use comgs_raster::{
+    FrameGradient, Planes, RasterConfig, SurfelGradients, Workspace, backward, forward, render,
+};
 use comgs_surfel::{ColorEncoding, SurfelCloud};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -248,7 +250,8 @@ pub fn train(
         let index = trainer.step(&mut state, progress)?;
         if progress >= next_preview {
             let camera = &views[index].camera;
-            let small = camera.resized((camera.width / trainer.level).max(1), (camera.height / trainer.level).max(1));
+            let small =
+                camera.resized((camera.width / trainer.level).max(1), (camera.height / trainer.level).max(1));
             let frame = render(&state.cloud, &small, Planes::COLOR, &raster);
             observer.preview(&camera.name, &frame.color.expect("colour plane"));
             next_preview = progress + 0.05;

@@ -1,9 +1,6 @@
 //! Depth-sorted lists of surfels for every tile.
 
-use crate::bounds::TILE;
-use crate::order::sort_tile;
 use crate::project::Projected;
-use rayon::prelude::*;
 
 /// Tile lists: tile `t` blends `entries[offsets[t]..offsets[t + 1]]` in that order.
 #[derive(Debug, Default)]
@@ -15,7 +12,6 @@ pub struct Bins {
     /// For every (surfel, tile) pair in the order of emission the position in `entries`: a surfel's gradient is
     /// the sum over its pairs in this fixed order.
     pub position_of_pair: Vec<u32>,
-    pair_of_position: Vec<u32>,
     order: Vec<u32>,
     scratch: Vec<u32>,
     keys: Vec<u32>,
@@ -48,33 +44,6 @@ impl Bins {
                 self.position_of_pair[pair as usize] = *cursor;
                 *cursor += 1;
             }
-        }
-    }
-
-    /// Sorts every tile's list by depth at the tile (see [`crate::order`]).
-    pub fn sort_tiles(&mut self, projected: &[Projected], tiles_x: usize) {
-        self.pair_of_position.clear();
-        self.pair_of_position.resize(self.position_of_pair.len(), 0);
-        for (pair, &position) in self.position_of_pair.iter().enumerate() {
-            self.pair_of_position[position as usize] = pair as u32;
-        }
-        let (mut entries, mut pairs) = (self.entries.as_mut_slice(), self.pair_of_position.as_mut_slice());
-        let mut work = Vec::new();
-        for (tile, w) in self.offsets.windows(2).enumerate() {
-            let count = (w[1] - w[0]) as usize;
-            let (mine, rest) = entries.split_at_mut(count);
-            let (my_pairs, rest_pairs) = pairs.split_at_mut(count);
-            (entries, pairs) = (rest, rest_pairs);
-            if count > 1 {
-                work.push((tile, mine, my_pairs));
-            }
-        }
-        work.into_par_iter().for_each_init(Vec::new, |scratch, (tile, entries, pairs)| {
-            let origin = [tile % tiles_x * TILE, tile / tiles_x * TILE];
-            sort_tile(entries, pairs, projected, origin, scratch);
-        });
-        for (position, &pair) in self.pair_of_position.iter().enumerate() {
-            self.position_of_pair[pair as usize] = position as u32;
         }
     }
 
@@ -111,7 +80,7 @@ impl Bins {
 }
 
 /// Bits that sort as the float does, negatives included.
-pub(crate) fn sortable_bits(x: f32) -> u32 {
+fn sortable_bits(x: f32) -> u32 {
     let bits = x.to_bits();
     if bits >> 31 == 1 { !bits } else { bits | 0x8000_0000 }
 }

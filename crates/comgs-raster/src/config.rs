@@ -34,15 +34,6 @@ pub enum LowPass {
     Sigma(f32),
 }
 
-/// In which order surfels blend.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
-    /// By the z-depth of their centres, for the whole image.
-    Centre,
-    /// By centre depth, and within a sheet by offset along the normal, for each tile (see [`crate::order`]).
-    Sheet,
-}
-
 /// Thresholds of the blend. [`RasterConfig::default`] has the values of 2DGS.
 #[derive(Clone, Copy, Debug)]
 pub struct RasterConfig {
@@ -56,8 +47,6 @@ pub struct RasterConfig {
     pub transmittance_min: f32,
     /// Screen-space filter.
     pub low_pass: LowPass,
-    /// Order of blending.
-    pub order: Order,
     /// Instruction set; [`Level::new`] by default. All levels are tested against the reference.
     pub level: Level,
 }
@@ -70,7 +59,6 @@ impl Default for RasterConfig {
             alpha_max: 0.99,
             transmittance_min: 1e-4,
             low_pass: LowPass::Sigma(std::f32::consts::FRAC_1_SQRT_2),
-            order: Order::Sheet,
             level: Level::new(),
         }
     }

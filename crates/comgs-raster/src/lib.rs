@@ -35,12 +35,11 @@ pub mod bounds;
 pub mod color;
 pub mod config;
 pub mod frame;
-pub mod order;
 pub mod project;
 pub mod reference;
 pub mod render;
 mod simd;
 
-pub use config::{LowPass, Order, Planes, RasterConfig};
+pub use config::{LowPass, Planes, RasterConfig};
 pub use frame::{Frame, FrameGradient};
 pub use render::{SurfelGradients, Workspace, backward, forward, render};

@@ -70,8 +70,6 @@ pub struct Projected {
     pub low_pass: f32,
     /// +1 when the surfel's own normal faces the camera, −1 when it must be flipped.
     pub facing: f32,
-    /// Half the range of z-depth that the disc spans ([`crate::order::reach`]).
-    pub reach: f32,
     /// First and last pixel row (inclusive) that the surfel can touch.
     pub rows: [u16; 2],
 }
@@ -158,7 +156,6 @@ pub fn project(
         cut,
         low_pass: if in_front { config.low_pass_inverse_variance() } else { 0.0 },
         facing: if plane <= 0.0 { 1.0 } else { -1.0 },
-        reach: 0.0,
         rows: [0, 0],
     })
 }

@@ -5,9 +5,8 @@ use crate::blend::{TILE_PIXELS, TileInput, TileOutput, blend_tile};
 use crate::blend_vjp::{RECORD_BASE, TileGradient, blend_tile_vjp};
 use crate::bounds::{TILE, cover};
 use crate::color::{radiance, radiance_vjp};
-use crate::config::{Order, Planes, RasterConfig};
+use crate::config::{Planes, RasterConfig};
 use crate::frame::{Frame, FrameGradient};
-use crate::order::reach;
 use crate::project::{CameraSurfel, Projected, ProjectedGradient, ScreenCamera, project, project_vjp};
 use comgs_geom::Camera;
 use comgs_image::Image;
@@ -119,9 +118,6 @@ pub fn forward(
     let tiles_y = screen.height.div_ceil(TILE);
     let w = workspace;
     w.bins.build(&w.projected, &w.first_pair, &w.tiles, tiles_x * tiles_y);
-    if config.order == Order::Sheet {
-        w.bins.sort_tiles(&w.projected, tiles_x);
-    }
 
     let mut frame = Frame::zeros(screen.width, screen.height, planes);
     let state = &*w;
@@ -284,7 +280,6 @@ fn project_one(
         return;
     }
     projected.rows = rows;
-    projected.reach = reach(&geometry);
     let start = out.attributes.len();
     if channels >= 3 {
         let offset = Vec3::from_array(cloud.positions[i]) - screen.centre;

@@ -15,9 +15,10 @@
 //! B is constant over directions: a surfel has one colour for both of its sides. On the inner side of a closed object no
 //! one looks; of a sheet that is seen from both sides, the side away from the probes shows the colour of the other.
 
+use super::RelightConfig;
 use super::light_sets::LightSets;
+use super::shade::{irradiance, streams};
 use super::surroundings::{Around, Surroundings};
-use super::{RelightConfig, shade};
 use comgs_geom::sampling::{cosine_hemisphere, hammersley};
 use comgs_geom::sh;
 use comgs_light::EnvironmentSampler;
@@ -39,7 +40,7 @@ pub(super) fn glowing(
 ) -> SurfelCloud {
     let sides: Vec<Vec3> =
         (0..SIDE_RAYS).map(|s| cosine_hemisphere(hammersley(s, SIDE_RAYS, Vec2::splat(0.5)))).collect();
-    let sets = LightSets::new(light, config.bounce_rays / 2, config.seed, shade::OTHER_STREAMS - 1);
+    let sets = LightSets::new(light, config.bounce_rays / 2, config.seed, streams::BOUNCE);
     let radiance: Vec<Vec3> = (0..cloud.len())
         .into_par_iter()
         .with_min_len(64)
@@ -49,8 +50,8 @@ pub(super) fn glowing(
                 let position = Vec3::from_array(cloud.positions[i]);
                 let normal = surroundings.outward(position, cloud.rotation(i).z_axis, &sides);
                 around.go_to(position, normal);
-                let stream = shade::OTHER_STREAMS + i as u64;
-                let irradiance = shade::irradiance(normal, stream, light, &sets, around, config.seed);
+                let stream = streams::SURFELS + i as u64;
+                let irradiance = irradiance(normal, stream, light, &sets, around, config.seed);
                 let albedo = Vec3::from_array(material.albedo_logits[i].map(sigmoid));
                 albedo * FRAC_1_PI * irradiance
             },

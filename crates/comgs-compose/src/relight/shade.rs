@@ -6,6 +6,7 @@ use super::{Heuristic, Point, RelightConfig};
 use comgs_geom::Rng;
 use comgs_geom::frame::world_from_tangent;
 use comgs_geom::sampling::{cosine_hemisphere, cosine_hemisphere_pdf, hammersley};
+use comgs_light::brdf::Reflection;
 use comgs_light::{EnvironmentSampler, Shading};
 use glam::{Vec2, Vec3};
 
@@ -26,10 +27,27 @@ impl Lit {
     pub fn total(&self) -> Vec3 {
         self.diffuse + self.specular + self.indirect
     }
+
+    /// A sample of light of `radiance`, of which the share `open` arrives, and of `incoming` from the object.
+    fn add(&mut self, reflection: &Reflection, scale: f32, radiance: Vec3, (open, incoming): (f32, Vec3)) {
+        let direct = scale * open * radiance;
+        self.diffuse += reflection.diffuse * direct;
+        self.specular += reflection.specular * direct;
+        self.indirect += scale * reflection.value() * incoming;
+    }
 }
 
-/// Where random streams begin that are no pixel's.
-pub(super) const OTHER_STREAMS: u64 = 1 << 40;
+/// Random streams of a seed. A pixel's shading has the pixel's number.
+pub(super) mod streams {
+    /// Rotations of the light's samples for pixels.
+    pub const LIGHT: u64 = 1 << 40;
+    /// Rotations of the light's samples for surfels.
+    pub const BOUNCE: u64 = LIGHT + 1;
+    /// Of the first pixel's mean visibility.
+    pub const VISIBILITY: u64 = 1 << 41;
+    /// Of the first surfel.
+    pub const SURFELS: u64 = 1 << 42;
+}
 
 /// ∫ f ((1 − O) L + L_in) cos θ dω by multiple importance sampling; `around` is at the point.
 ///
@@ -49,31 +67,29 @@ pub(super) fn shade(
     let by_brdf = Vec2::new(rng.uniform(), rng.uniform());
     let (n, m) = (config.light_rays as f32, config.brdf_rays as f32);
     let mut lit = Lit::default();
-    let mut add = |direction: Vec3, radiance: Vec3, own: f32, other: f32, by_light: bool| {
-        let Some(reflection) = shading.reflect(direction) else { return };
-        let scale = match config.heuristic {
-            Heuristic::Balance => 1.0 / (own + other),
-            Heuristic::Power => own / (own * own + other * other),
-        };
-        if !(own > 0.0 && scale.is_finite()) {
-            return;
-        }
-        let (open, incoming) =
-            if by_light { around.look_at_light(direction) } else { around.look(direction) };
-        let direct = scale * open * radiance;
-        lit.diffuse += reflection.diffuse * direct;
-        lit.specular += reflection.specular * direct;
-        lit.indirect += scale * reflection.value() * incoming;
-    };
     for sample in sets.choose(&mut rng) {
-        add(sample.direction, sample.radiance, n * sample.pdf, m * shading.pdf(sample.direction), true);
+        let Some(reflection) = shading.reflect(sample.direction) else { continue };
+        let scale = scale(config.heuristic, n * sample.pdf, m * shading.pdf(sample.direction));
+        lit.add(&reflection, scale, sample.radiance, around.look_at_light(sample.direction));
     }
     for s in 0..config.brdf_rays {
         let Some(direction) = by_lobe(&shading, hammersley(s, config.brdf_rays, by_brdf)) else { continue };
+        let Some(reflection) = shading.reflect(direction) else { continue };
         let (radiance, pdf) = light.evaluate(direction);
-        add(direction, radiance, m * shading.pdf(direction), n * pdf, false);
+        let scale = scale(config.heuristic, m * shading.pdf(direction), n * pdf);
+        lit.add(&reflection, scale, radiance, around.look(direction));
     }
     lit
+}
+
+/// Weight of a sample over its density and number, from the density times number of its own proposal and of the other;
+/// 0 for a sample that its own proposal cannot have drawn.
+fn scale(heuristic: Heuristic, own: f32, other: f32) -> f32 {
+    let scale = match heuristic {
+        Heuristic::Balance => 1.0 / (own + other),
+        Heuristic::Power => own / (own * own + other * other),
+    };
+    if own > 0.0 && scale.is_finite() { scale } else { 0.0 }
 }
 
 /// A direction drawn by the BRDF: the first number chooses the lobe and, stretched, the place in it.
@@ -83,8 +99,8 @@ fn by_lobe(shading: &Shading, u: Vec2) -> Option<Vec3> {
     shading.sample(u.x, Vec2::new(x.min(1.0 - f32::EPSILON / 2.0), u.y))
 }
 
-/// Irradiance ∫ (1 − O) L cos θ dω of a surface with a unit normal, `around` being there: samples by the
-/// light (`sets`) and as many by the cosine, with the balance heuristic.
+/// Irradiance ∫ (1 − O) L cos θ dω of a surface with a unit normal, `around` being there: samples by the light
+/// (`sets`) and as many by the cosine, with the balance heuristic.
 pub(super) fn irradiance(
     normal: Vec3,
     stream: u64,
@@ -98,21 +114,22 @@ pub(super) fn irradiance(
     let by_light = sets.choose(&mut rng);
     let each = by_light.len() as u32;
     let mut sum = Vec3::ZERO;
-    let mut add = |direction: Vec3, radiance: Vec3, pdf: f32| {
-        let cosine = normal.dot(direction);
-        if cosine > 0.0 {
-            let density = pdf + cosine_hemisphere_pdf(cosine);
-            sum += around.look(direction).0 * cosine / density * radiance;
-        }
-    };
+    let weight = |cosine: f32, pdf: f32| cosine / (pdf + cosine_hemisphere_pdf(cosine));
     for sample in by_light {
-        add(sample.direction, sample.radiance, sample.pdf);
+        let cosine = normal.dot(sample.direction);
+        if cosine > 0.0 {
+            let (open, _) = around.look_at_light(sample.direction);
+            sum += open * weight(cosine, sample.pdf) * sample.radiance;
+        }
     }
     let frame = world_from_tangent(normal);
     for s in 0..each {
         let direction = frame * cosine_hemisphere(hammersley(s, each, by_cosine));
-        let (radiance, pdf) = light.evaluate(direction);
-        add(direction, radiance, pdf);
+        let cosine = normal.dot(direction);
+        if cosine > 0.0 {
+            let (radiance, pdf) = light.evaluate(direction);
+            sum += around.look(direction).0 * weight(cosine, pdf) * radiance;
+        }
     }
     sum / each as f32
 }

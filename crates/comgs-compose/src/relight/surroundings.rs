@@ -6,6 +6,7 @@ use glam::Vec3;
 use std::borrow::Cow;
 
 /// The object as seen from its own surface: O and L_in of ComGS Eq. 8.
+#[allow(clippy::large_enum_variant, reason = "there is one a relighter")]
 pub(super) enum Surroundings<'a> {
     /// Nothing is hidden, nothing arrives.
     Open,
@@ -80,15 +81,15 @@ impl<'s> Around<'s> {
         }
     }
 
-    /// [`Around::look`] in the direction of a sample that the light proposed.
+    /// [`Around::look`] for a direction that the light proposed: traced, where such are.
     #[inline]
     pub fn look_at_light(&self, direction: Vec3) -> (f32, Vec3) {
-        let (open, incoming) = self.look(direction);
         match self.surroundings {
-            Surroundings::Probes(Probes { rays: Some((tracer, _)), .. }) => {
+            Surroundings::Probes(Probes { rays: Some((tracer, _)), glowing, .. }) => {
+                let incoming = if *glowing { self.look(direction).1 } else { Vec3::ZERO };
                 (tracer.transmittance(self.origin, direction, 0.0, f32::INFINITY), incoming)
             }
-            _ => (open, incoming),
+            _ => self.look(direction),
         }
     }
 

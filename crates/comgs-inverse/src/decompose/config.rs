@@ -139,7 +139,10 @@ impl DecomposeConfig {
         require(self.iterations > 0, "iterations is 0, expected > 0".into());
         require(self.probes > 0, "probes is 0, expected > 0".into());
         let resolution = self.probe_resolution;
-        require((4..=64).contains(&resolution), format!("probe_resolution is {resolution}, expected 4 to 64"));
+        require(
+            (4..=64).contains(&resolution),
+            format!("probe_resolution is {resolution}, expected 4 to 64"),
+        );
         let offset = self.probe_offset;
         require((0.0..=0.2).contains(&offset), format!("probe_offset is {offset}, expected 0 to 0.2"));
         let neighbours = self.probe_neighbours;

@@ -5,8 +5,8 @@
 //! constant, and its samples are shared: the pool is one stratified set, and a point takes every n-th of it from a random
 //! start, which is again a stratified set.
 
-use comgs_geom::octahedral::{direction, jacobian, uv_from_direction};
 use comgs_geom::Rng;
+use comgs_geom::octahedral::{direction, jacobian, uv_from_direction};
 use comgs_light::{OctahedralLight, luminance};
 use glam::{Vec2, Vec3};
 

@@ -7,8 +7,8 @@
 
 use comgs_geom::octahedral::texel_solid_angle;
 use comgs_light::{OctahedralLight, luminance};
-use comgs_surfel::activation::{logit, sigmoid};
 use comgs_surfel::MaterialColumns;
+use comgs_surfel::activation::{logit, sigmoid};
 use glam::Vec3;
 
 /// Largest albedo that is stored: logits stay finite and light never vanishes.
@@ -53,7 +53,8 @@ pub fn neutral_prior(light: &OctahedralLight, shares: &[f32], weight: f32, grad_
     let logs = mean.map(f64::ln);
     let middle = logs.iter().sum::<f64>() / 3.0;
     // The derivative of Σ (l_c − l̄)² with respect to l_c is 2 (l_c − l̄): the mean's own part cancels.
-    let g: [f32; 3] = std::array::from_fn(|c| (2.0 * f64::from(weight) * (logs[c] - middle) / mean[c]) as f32);
+    let g: [f32; 3] =
+        std::array::from_fn(|c| (2.0 * f64::from(weight) * (logs[c] - middle) / mean[c]) as f32);
     for (grad, share) in grad_texels.chunks_exact_mut(3).zip(shares) {
         for c in 0..3 {
             grad[c] += share * g[c];

@@ -16,8 +16,8 @@
 use super::proposal::Proposal;
 use comgs_geom::octahedral::footprint;
 use comgs_geom::{Rng, sampling};
-use comgs_light::brdf::{Material, MaterialGradient, Shading};
 use comgs_light::OctahedralLight;
+use comgs_light::brdf::{Material, MaterialGradient, Shading};
 use comgs_probe::{LookupConfig, Neighbours, ProbeIndex, ProbeSet};
 use comgs_trace::Tracer;
 use fearless_simd::{Level, Simd, dispatch};

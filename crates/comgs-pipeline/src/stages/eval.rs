@@ -8,7 +8,6 @@ pub mod table;
 pub use table::{Section, Table};
 
 use crate::source::Source;
-use crate::stages::relight;
 use crate::{Context, PipelineError, output, record::write_json};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -88,8 +87,8 @@ pub fn run(input: &Input, context: &Context<'_>) -> Result<Evaluation, PipelineE
         }
     };
     if let Some(root) = &input.relit {
-        let config = relight::Config::default();
-        let (sections, remarks) = relit::evaluate(&input.subject, &input.against, root, &config, context)?;
+        let (sections, remarks) =
+            relit::evaluate(&input.subject, &input.against, root, &relit::settings(), context)?;
         evaluation.sections.extend(sections);
         evaluation.remarks.extend(remarks);
     }

@@ -11,7 +11,7 @@ use comgs_compose::relight::{self, write_relit_layers};
 use comgs_compose::{Indirect, RelightConfig, Relighter, RelitFrame, SelfOcclusion};
 use comgs_geom::Camera;
 use comgs_image::{Image, write_png};
-use comgs_inverse::{Quality, Visibility};
+use comgs_inverse::Quality;
 use comgs_light::EnvironmentMap;
 use comgs_probe::BakeObserver;
 use comgs_scene::write_cameras;
@@ -43,6 +43,20 @@ pub struct Input {
     pub output: PathBuf,
 }
 
+/// Where self-occlusion comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Visibility {
+    /// Probes, and a ray for every sample that the light proposes: small lights cast sharp shadows.
+    Mixed,
+    /// Probes alone.
+    Probes,
+    /// A ray for every sample.
+    Trace,
+    /// Nothing is hidden.
+    None,
+}
+
 /// Knobs of the stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Config {
@@ -50,7 +64,7 @@ pub struct Config {
     pub quality: Quality,
     /// Samples a pixel instead of the quality's, half by the light, half by the BRDF.
     pub rays: Option<u32>,
-    /// Where self-occlusion comes from; an object without probes is traced instead.
+    /// Where self-occlusion comes from; an object without probes is traced instead of what needs them.
     pub visibility: Visibility,
     /// Light that is scattered once on the object itself.
     pub indirect: bool,
@@ -69,7 +83,7 @@ impl Default for Config {
         Self {
             quality: Quality::Balanced,
             rays: None,
-            visibility: Visibility::Probes,
+            visibility: Visibility::Mixed,
             indirect: false,
             layers: false,
             background: false,
@@ -92,10 +106,15 @@ impl Config {
             Some(rays) => preset.with_rays(rays),
             None => preset,
         };
-        let (preset, self_occlusion) = match (self.visibility, &subject.probes) {
-            (Visibility::Probes, Some((_, lookup))) => (preset.with_lookup(lookup), if std::env::var("MIXED").is_ok() { SelfOcclusion::Mixed} else {SelfOcclusion::Probes}),
-            (Visibility::Probes, None) | (Visibility::Trace, _) => (preset, SelfOcclusion::Trace),
-            (Visibility::None, _) => (preset, SelfOcclusion::None),
+        let preset = match &subject.probes {
+            Some((_, lookup)) => preset.with_lookup(lookup),
+            None => preset,
+        };
+        let self_occlusion = match self.visibility {
+            Visibility::Mixed if subject.probes.is_some() => SelfOcclusion::Mixed,
+            Visibility::Probes if subject.probes.is_some() => SelfOcclusion::Probes,
+            Visibility::Mixed | Visibility::Probes | Visibility::Trace => SelfOcclusion::Trace,
+            Visibility::None => SelfOcclusion::None,
         };
         RelightConfig {
             self_occlusion,
@@ -150,8 +169,8 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     let inputs = json!({"asset": input.asset, "light": light, "views": views_json(&input.views)});
     run.describe(fingerprint, inputs, config, Some(config.seed))?;
     let settings = config.for_subject(&subject);
-    if config.visibility == Visibility::Probes && subject.probes.is_none() {
-        context.progress.note("the object has no probes: its self-occlusion is traced, which is slower");
+    if matches!(config.visibility, Visibility::Mixed | Visibility::Probes) && subject.probes.is_none() {
+        context.progress.note("the object has no probes: its self-occlusion is traced");
     }
     let map = read_light(&light, |text| run.warn(context, text))?;
     let relighter = prepare(&subject, &map, settings, context)?;

@@ -16,7 +16,8 @@ fn light(size: usize) -> OctahedralLight {
 fn probes() -> ProbeSet {
     let mut rng = Rng::new(8);
     let resolution = 8;
-    let texel = |rng: &mut Rng| [rng.range(0.0, 0.5), rng.range(0.0, 0.5), rng.range(0.0, 0.5), rng.range(0.1, 0.9)];
+    let texel =
+        |rng: &mut Rng| [rng.range(0.0, 0.5), rng.range(0.0, 0.5), rng.range(0.0, 0.5), rng.range(0.1, 0.9)];
     ProbeSet {
         positions: vec![Vec3::new(0.0, 0.0, 0.1), Vec3::new(0.6, 0.0, 0.1)],
         normals: vec![Vec3::Z; 2],
@@ -161,7 +162,8 @@ fn surface_gradients() {
     let light = light(32);
     let proposal = Proposal::new(&light, 1);
     let points = points();
-    let lighting = Lighting { light: &light, proposal: &proposal, incident: Incident::Open, rays: 64, seed: 3 };
+    let lighting =
+        Lighting { light: &light, proposal: &proposal, incident: Incident::Open, rays: 64, seed: 3 };
     let mut shaded = Shaded::default();
     shade(&points, &lighting, &mut shaded);
     let up = [Vec3::new(0.7, -0.4, 0.9), Vec3::new(0.2, 1.0, -0.3), Vec3::new(-0.5, 0.6, 0.8)];
@@ -195,7 +197,9 @@ fn surface_gradients() {
             });
         }
         let g = grads[i];
-        assert!(g.albedo.min_element() != 0.0 && g.roughness != 0.0 && g.metallic != 0.0 && across.length() > 0.0);
+        assert!(
+            g.albedo.min_element() != 0.0 && g.roughness != 0.0 && g.metallic != 0.0 && across.length() > 0.0
+        );
         check("roughness", grads[i].roughness, &|p, d| p.roughness += d);
         check("metallic", grads[i].metallic, &|p, d| p.metallic += d);
     }
