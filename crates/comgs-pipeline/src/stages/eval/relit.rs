@@ -96,9 +96,14 @@ pub fn evaluate(
     }
     // The lights first, one after the other, each as it is and aligned; then their means.
     sections.sort_by_key(|(light, _)| *light);
-    if subject.probes.is_none() {
-        remarks.push("the asset has no probes; its self-occlusion was traced".to_owned());
-    }
+    let used = config.for_subject(&subject);
+    remarks.push(format!(
+        "relit with {} samples a pixel, self-occlusion: {}{}, light between the object's own surfaces: {}",
+        used.light_rays + used.brdf_rays,
+        format!("{:?}", used.self_occlusion).to_lowercase(),
+        if subject.probes.is_none() { " (the asset has no probes)" } else { "" },
+        if config.indirect { "one bounce" } else { "none" },
+    ));
     Ok((sections.into_iter().map(|(_, section)| section).collect(), remarks))
 }
 
