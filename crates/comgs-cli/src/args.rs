@@ -5,7 +5,9 @@
 
 //! Arguments and help. Help teaches: every command says what it makes and shows how it is called.
 
-use crate::values::{GreyCard, Pixel, duration, factors, grey_card, pixel, point, positive, size};
+use crate::values::{
+    GreyCard, Pixel, distance, duration, factors, grey_card, number, pixel, point, positive, size,
+};
 use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use comgs_pipeline::stages::material::AlbedoEdit;
 use std::path::PathBuf;
@@ -61,6 +63,7 @@ pub(crate) enum Command {
     Material(Material),
     Eval(Eval),
     Ablate(Ablate),
+    Export(Export),
     Synth(Synth),
     Demo(Demo),
     Info(Info),
@@ -276,7 +279,7 @@ pub(crate) struct Place {
     pub size: Option<f64>,
 
     /// Turn about up, counter-clockwise seen from above
-    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true, value_parser = number)]
     pub yaw: f64,
 
     /// The transform.json to write
@@ -320,10 +323,10 @@ pub(crate) struct Light {
     pub height: usize,
 
     /// Do not see surfels nearer than this (scene units), such as floaters
-    #[arg(long, value_name = "DISTANCE", default_value_t = 0.0)]
+    #[arg(long, value_name = "DISTANCE", default_value_t = 0.0, allow_hyphen_values = true, value_parser = distance)]
     pub near: f64,
 
-    /// The map to write
+    /// The map to write: .exr or .hdr; pictures go beside it
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
 }
@@ -363,7 +366,7 @@ pub(crate) struct Render {
 pub(crate) enum SelfShadow {
     /// Probes, with traced rays towards the light: sharp shadows of small lights
     Mixed,
-    /// Probes alone: twice as fast, soft shadows
+    /// Probes alone: two to three times as fast, soft shadows
     Probes,
     /// A traced ray for every sample
     Trace,
@@ -676,6 +679,28 @@ pub(crate) struct AblateDecompose {
     pub seed: u64,
 }
 
+/// Write an asset's surfels as a PLY for other programs
+///
+/// As they are, with material, or for viewers of 3D Gaussian splatting: with a thin third scale and harmonics padded to
+/// degree 3, without material.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs export cow.asset -o cow.ply
+  comgs export cow.asset -o cow_view.ply --viewer")]
+pub(crate) struct Export {
+    /// Asset, or a PLY of surfels
+    pub asset: PathBuf,
+
+    /// The PLY to write
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+
+    /// For viewers of 3D Gaussian splatting, which expect three scales
+    #[arg(long)]
+    pub viewer: bool,
+}
+
 /// Make captures with exact ground truth
 ///
 /// Renders a recipe with a small path tracer into the SynCom layout: objects, objects under other lights, scenes,
@@ -746,8 +771,8 @@ pub(crate) struct Demo {
 
 /// Say what a file or folder holds
 ///
-/// Assets, PLYs of any dialect, EXR and other pictures, captures, camera lists, transform.json, composition.json and
-/// run.json.
+/// Assets, PLYs of any dialect, EXR and other pictures, captures and roots of captures, camera lists, transform.json,
+/// composition.json, scores.json, recipes, reports and run.json.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

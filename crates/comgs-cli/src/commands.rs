@@ -1,12 +1,14 @@
 //! From arguments to stages, and from their results to what is printed.
 
 use crate::args::{self, Cli, Command};
+use crate::output::{say, write};
 use crate::terminal::Terminal;
 use anyhow::{Context as _, bail};
 use clap::CommandFactory;
 use comgs_inverse::{AlbedoScale, Kind, Quality, Visibility};
 use comgs_pipeline::stages::{
-    ablate, compose, decompose, demo, eval, info, light, material, place, reconstruct, relight, render, synth,
+    ablate, compose, decompose, demo, eval, export, info, light, material, place, reconstruct, relight,
+    render, synth,
 };
 use comgs_pipeline::{CancelToken, Context};
 use comgs_scene::{CheckDepth, check_with};
@@ -72,11 +74,8 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Ablate(a) => run_ablate(a, &context)?,
         Command::Synth(a) => run_synth(a, &context)?,
         Command::Demo(a) => run_demo(a, &context)?,
-        Command::Info(a) => {
-            for path in &a.paths {
-                print!("{}", info::run(path)?.to_text());
-            }
-        }
+        Command::Export(a) => run_export(a, &context)?,
+        Command::Info(a) => return Ok(run_info(a)),
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -85,7 +84,7 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
 fn check(capture: &Path) -> anyhow::Result<ExitCode> {
     std::fs::metadata(capture).with_context(|| format!("cannot be read: {}", capture.display()))?;
     let report = check_with(capture, CheckDepth::Pixels);
-    println!("{report}");
+    say!("{report}");
     Ok(if report.is_sound() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -103,7 +102,7 @@ fn run_reconstruct(a: &args::Reconstruct, context: &Context<'_>) -> anyhow::Resu
         ..reconstruct::Config::default()
     };
     let made = reconstruct::run(&input, &config, context)?;
-    println!("{}", made.asset.display());
+    say!("{}", made.asset.display());
     Ok(())
 }
 
@@ -133,7 +132,7 @@ fn run_decompose(a: &args::Decompose, context: &Context<'_>) -> anyhow::Result<(
     config.max_width = a.max_width;
     config.resume = if a.resume { reconstruct::Resume::Expected } else { reconstruct::Resume::Never };
     let made = decompose::run(&input, &config, context)?;
-    println!("{}", made.asset.display());
+    say!("{}", made.asset.display());
     Ok(())
 }
 
@@ -150,18 +149,18 @@ fn run_place(a: &args::Place, context: &Context<'_>) -> anyhow::Result<()> {
         output: a.output.clone(),
     };
     let placed = place::run(&input, &place::Config { at, size: a.size, yaw_deg: a.yaw }, context)?;
-    println!("base    {:.4}", placed.base);
-    println!("size    {:.4} ({})", placed.size, placed.size_reason);
+    say!("base    {:.4}", placed.base);
+    say!("size    {:.4} ({})", placed.size, placed.size_reason);
     if let Some(normal) = placed.report.ground_normal {
-        println!(
+        say!(
             "ground  normal {normal:.3}, under {:.0} % of the footprint",
             100.0 * placed.report.ground_coverage
         );
     }
     if let Some(gap) = placed.report.gap {
-        println!("gap     {gap:+.4} (base over ground)");
+        say!("gap     {gap:+.4} (base over ground)");
     }
-    println!("{}", a.output.display());
+    say!("{}", a.output.display());
     Ok(())
 }
 
@@ -178,9 +177,9 @@ fn run_light(a: &args::Light, context: &Context<'_>) -> anyhow::Result<()> {
         near: a.near,
     };
     let made = light::run(&input, &config, context)?;
-    println!("seen    {:.1} % of the sphere", 100.0 * made.coverage);
+    say!("seen    {:.1} % of the sphere", 100.0 * made.coverage);
     for path in [&made.environment, &made.pictures.environment, &made.pictures.sweep, &made.pictures.alpha] {
-        println!("{}", path.display());
+        say!("{}", path.display());
     }
     Ok(())
 }
@@ -189,7 +188,7 @@ fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Result<()> {
     let input =
         render::Input { asset: a.asset.clone(), cameras: a.cameras.clone(), output: a.output.clone() };
     render::run(&input, &render::Config { layers: a.layers }, context)?;
-    println!("{}", a.output.join("frames").display());
+    say!("{}", a.output.join("frames").display());
     Ok(())
 }
 
@@ -217,9 +216,9 @@ fn run_relight(a: &args::Relight, context: &Context<'_>) -> anyhow::Result<()> {
         seed: a.seed,
     };
     let made = relight::run(&input, &config, context)?;
-    println!("{}", made.frames.display());
+    say!("{}", made.frames.display());
     if let Some(preview) = &made.preview {
-        println!("{}", preview.display());
+        say!("{}", preview.display());
     }
     Ok(())
 }
@@ -250,10 +249,10 @@ fn run_compose(a: &args::Compose, context: &Context<'_>) -> anyhow::Result<()> {
     };
     let made = compose::run(&input, &config, context)?;
     if let Some(evaluation) = &made.evaluation {
-        println!("{}", evaluation.to_text());
+        say!("{}", evaluation.to_text());
     }
-    println!("{}", made.frames.display());
-    println!("{}", made.report.display());
+    say!("{}", made.frames.display());
+    say!("{}", made.report.display());
     Ok(())
 }
 
@@ -265,7 +264,7 @@ fn run_material(a: &args::Material, context: &Context<'_>) -> anyhow::Result<()>
         roughness: a.roughness,
         metallic: a.metallic,
     };
-    println!("{}", material::run(&input, &config, context)?.asset.display());
+    say!("{}", material::run(&input, &config, context)?.asset.display());
     Ok(())
 }
 
@@ -276,7 +275,7 @@ fn run_eval(a: &args::Eval, context: &Context<'_>) -> anyhow::Result<()> {
         relit: a.relit.clone(),
         json: a.json.clone(),
     };
-    print!("{}", eval::run(&input, context)?.to_text());
+    write(format_args!("{}", eval::run(&input, context)?.to_text()));
     Ok(())
 }
 
@@ -299,14 +298,14 @@ fn run_ablate(a: &args::Ablate, context: &Context<'_>) -> anyhow::Result<()> {
         seed: a.seed,
     };
     let sweep = ablate::run(&input, &config, context)?;
-    println!("{}", sweep.to_markdown()?);
+    say!("{}", sweep.to_markdown()?);
     Ok(())
 }
 
 fn run_synth(a: &args::Synth, context: &Context<'_>) -> anyhow::Result<()> {
     if a.recipe == "list" && a.output.is_none() {
         for name in synth::builtin_names() {
-            println!("{name}");
+            say!("{name}");
         }
         return Ok(());
     }
@@ -323,7 +322,7 @@ fn run_synth(a: &args::Synth, context: &Context<'_>) -> anyhow::Result<()> {
         seed: a.seed,
     };
     synth::run(&synth::Input { recipe: a.recipe.clone(), output: output.clone() }, &overrides, context)?;
-    println!("{}", output.display());
+    say!("{}", output.display());
     Ok(())
 }
 
@@ -339,11 +338,31 @@ fn run_demo(a: &args::Demo, context: &Context<'_>) -> anyhow::Result<()> {
     for evaluation in
         [Some(&made.object), Some(&made.scene), made.compose.evaluation.as_ref()].into_iter().flatten()
     {
-        println!("{}", evaluation.to_text());
+        say!("{}", evaluation.to_text());
     }
-    println!("The pictures:");
-    println!("  {}", made.compose.report.display());
-    println!("  {}", made.compose.frames.display());
-    println!("  {}", a.output.join("composed").join("preview.gif").display());
+    say!("The pictures:");
+    say!("  {}", made.compose.report.display());
+    say!("  {}", made.compose.frames.display());
+    say!("  {}", a.output.join("composed").join("preview.gif").display());
+    say!("  {}", made.hero.display());
     Ok(())
+}
+
+fn run_export(a: &args::Export, context: &Context<'_>) -> anyhow::Result<()> {
+    let input = export::Input { asset: a.asset.clone(), output: a.output.clone() };
+    let made = export::run(&input, &export::Config { viewer: a.viewer }, context)?;
+    say!("{}", made.ply.display());
+    Ok(())
+}
+
+/// Looks at every path; one that cannot be understood does not hide what the others hold.
+fn run_info(a: &args::Info) -> ExitCode {
+    let mut code = ExitCode::SUCCESS;
+    for path in &a.paths {
+        match info::run(path) {
+            Ok(info) => write(format_args!("{}", info.to_text())),
+            Err(error) => code = crate::fail(&error.into()),
+        }
+    }
+    code
 }

@@ -60,12 +60,19 @@ pub(crate) fn factors(text: &str) -> Result<[f32; 3], String> {
     }
 }
 
-fn number(text: &str) -> Result<f64, String> {
+/// A finite number.
+pub(crate) fn number(text: &str) -> Result<f64, String> {
     let text = text.trim();
     match text.parse::<f64>() {
         Ok(v) if v.is_finite() => Ok(v),
         _ => Err(format!("{text:?} is not a finite number")),
     }
+}
+
+/// A distance in scene units, not negative.
+pub(crate) fn distance(text: &str) -> Result<f64, String> {
+    let v = number(text)?;
+    if v >= 0.0 { Ok(v) } else { Err(format!("{v} is negative")) }
 }
 
 /// A positive number of scene units.
@@ -135,5 +142,8 @@ mod tests {
         assert_eq!(size("320x180"), Ok((320, 180)));
         assert!(size("320").is_err() && size("0x3").is_err());
         assert!(positive("0").is_err() && positive("0.3").is_ok());
+        assert!(distance("0").is_ok() && distance("-0.1").is_err() && distance("inf").is_err());
+        assert_eq!(number("-30.5"), Ok(-30.5));
+        assert!(["inf", "-inf", "nan", "thirty"].iter().all(|bad| number(bad).is_err()));
     }
 }

@@ -15,8 +15,8 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-const COMMANDS: [&str; 9] =
-    ["reconstruct", "place", "light", "render", "compose", "eval", "synth", "demo", "info"];
+const COMMANDS: [&str; 10] =
+    ["reconstruct", "place", "light", "render", "compose", "eval", "export", "synth", "demo", "info"];
 
 /// Goal: help lists every command with a sentence and shows the whole way; each command's help has examples that begin
 /// with the command itself.
@@ -69,6 +69,7 @@ fn promised_flags_exist() {
         ("eval", &["--against", "--json"]),
         ("synth", &["--output"]),
         ("demo", &["--output"]),
+        ("export", &["--output", "--viewer"]),
     ] {
         let help = text(&comgs(&[command, "--help"], folder.path()).stdout);
         for flag in flags {
@@ -95,6 +96,9 @@ fn wrong_usage_is_2() {
         ),
         (&["place", "--scene", "s", "--object", "o", "-o", "t", "--pixel", "v,1"], "view,x,y"),
         (&["place", "--scene", "s", "--object", "o", "-o", "t", "--at", "1,2,3", "--size", "-1"], "positive"),
+        (&["place", "--scene", "s", "--object", "o", "-o", "t", "--at", "1,2,3", "--yaw", "inf"], "finite"),
+        (&["place", "--scene", "s", "--object", "o", "-o", "t", "--at", "1,2,3", "--yaw", "nan"], "finite"),
+        (&["light", "--scene", "s", "--at", "1,2,3", "-o", "e.exr", "--near", "-1"], "negative"),
         (&["compose", "--scene", "s", "--transform", "t", "--cameras", "c", "-o", "out"], "--object"),
         (&["synth", "tiny"], "-o ROOT"),
         (&["info"], "PATHS"),
@@ -150,8 +154,15 @@ fn failures_are_1_and_name_the_path() {
             "broken.json",
         ),
         (&["eval", "empty", "--against", "empty"], "empty"),
+        (&["light", "--scene", "broken.ply", "--at", "0,0,-1", "-o", "l.png"], ".exr or .hdr"),
+        (&["render", "broken.ply", "--cameras", "broken.json", "-o", "note.txt/out"], "broken.json"),
+        (
+            &["light", "--scene", "broken.ply", "--at", "0,0,1", "-o", "note.txt/e.exr"],
+            "output folder note.txt",
+        ),
+        (&["export", "broken.ply", "-o", "out.obj"], ".ply"),
         (&["synth", "castle", "-o", "out"], "tiny"),
-        (&["demo", "-o", "out"], "assets/demo"),
+        (&["demo", "--assets", "nowhere", "-o", "out"], "nowhere"),
     ] {
         let output = comgs(arguments, root);
         let (out, error) = (text(&output.stdout), text(&output.stderr));
@@ -161,6 +172,42 @@ fn failures_are_1_and_name_the_path() {
         assert!(!error.contains("panicked"), "{arguments:?}: {error}");
     }
     assert_eq!(std::fs::read_dir(root).unwrap().count(), before, "failures leave nothing behind");
+}
+
+/// Goal: `info` goes on after a path that it cannot understand, says which one that was, and exits with 1 at the end.
+#[test]
+fn info_goes_on_after_a_bad_path() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = r#"{"cow": {"transform": [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]}}"#;
+    std::fs::write(folder.path().join("transform.json"), record).unwrap();
+    std::fs::write(folder.path().join("note.txt"), b"hello").unwrap();
+    let output = comgs(&["info", "missing", "transform.json", "note.txt"], folder.path());
+    let (out, error) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(out.contains("placement") && out.contains("cow"), "{out}");
+    assert!(error.contains("missing") && error.contains("note.txt"), "{error}");
+    assert_eq!(error.matches("error: ").count(), 2, "{error}");
+}
+
+/// Goal: a reader that closes standard output early (`comgs … | head -1`) is no failure: quiet, and exit code 0.
+#[cfg(unix)]
+#[test]
+fn a_closed_pipe_ends_quietly() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [&["synth", "list"][..], &["info", "transform.json"]] {
+        let record = r#"{"cow": {"transform": [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]}}"#;
+        std::fs::write(folder.path().join("transform.json"), record).unwrap();
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let output = Command::new(env!("CARGO_BIN_EXE_comgs"))
+            .args(arguments)
+            .current_dir(folder.path())
+            .stdout(writer)
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{arguments:?}: {:?}", output.status);
+        assert_eq!(text(&output.stderr), "", "{arguments:?}");
+    }
 }
 
 /// Goal: `--check` lists every problem of a capture at once and exits with 1; a sound capture exits with 0.
@@ -201,7 +248,7 @@ fn check_lists_everything_at_once() {
 fn interrupt_is_130() {
     let folder = tempfile::tempdir().unwrap();
     let mut child = Command::new(env!("CARGO_BIN_EXE_comgs"))
-        .args(["synth", "room", "-o", "root", "--samples", "4096"])
+        .args(["synth", "room", "-o", "root", "--samples", "256"])
         .current_dir(folder.path())
         .stderr(std::process::Stdio::piped())
         .spawn()

@@ -3,11 +3,12 @@
 mod common;
 
 use comgs_compose::{
-    ComposeConfig, ComposeError, ComposedFrame, Composer, LightSample, LightSource, Ordering, PlacedObject,
-    PlacementConfig, ShadowConfig, check_placement,
+    ComposeConfig, ComposeError, ComposedFrame, Composer, Denoise, LightSample, LightSource, Ordering,
+    PlacedObject, PlacementConfig, ShadowConfig, check_placement,
 };
 use comgs_geom::{Camera, Similarity, sampling::uniform_sphere};
 use comgs_image::Image;
+use comgs_light::{EnvironmentMap, EnvironmentSampler};
 use comgs_raster::{LowPass, Planes, RasterConfig};
 use comgs_surfel::SurfelCloud;
 use comgs_trace::{TraceConfig, Tracer};
@@ -340,6 +341,102 @@ fn the_same_object_twice() {
     assert!(both.shadow.data.iter().all(|v| (0.0..=1.0).contains(v)));
     let again = frame(&[a, b]);
     assert_eq!((again.beauty, again.shadow), (both.beauty, both.shadow));
+}
+
+/// What the two suns of the next test leave of the floor's light at a point, by a sphere on paper; `None` in penumbras and
+/// where the surfels' sphere is not sharp.
+fn two_suns_on_paper(p: Vec3, centre: Vec3, suns: &[(Vec3, f32); 2]) -> Option<f32> {
+    let (mut kept, mut all) = (0.0, 0.0);
+    for (direction, power) in suns {
+        let to = centre - p;
+        let miss = (to - direction * to.dot(*direction)).length();
+        let visible = match miss {
+            // Radius ½; a texel of 1.4° at a distance of 1 blurs by 0.025, the surfels by twice their scale of 0.035.
+            m if m < 0.38 => 0.0,
+            m if m > 0.63 => 1.0,
+            _ => return None,
+        };
+        let light = power * direction.z;
+        (kept, all) = (kept + light * visible, all + light);
+    }
+    Some(kept / all)
+}
+
+/// Goal: two lights whose shadows overlap (hard case 32): two hot texels of unequal strength over black. Where the sphere
+/// hides one sun, the floor keeps the other's share; where it hides both, nothing; elsewhere everything.
+#[test]
+fn two_lights_whose_shadows_overlap() {
+    let (width, height) = (256, 128);
+    let mut image = Image::zeros(width, height, 3);
+    let mut suns = [(Vec3::Z, 0.0); 2];
+    for (sun, (column, row, radiance)) in suns.iter_mut().zip([(60, 24, 3e4), (90, 30, 1e4)]) {
+        image.pixel_mut(column, row).fill(radiance);
+        let direction = comgs_geom::equirect::texel_direction(column, row, width, height);
+        *sun = (direction, radiance * comgs_geom::equirect::texel_solid_angle(row, width, height));
+    }
+    let sky = EnvironmentSampler::new(&EnvironmentMap::from_image(&image).unwrap());
+    let config = ComposeConfig {
+        shadow: Some(ShadowConfig { rays: 256, denoise: Denoise::Off, ..ShadowConfig::default() }),
+        ..ComposeConfig::default()
+    };
+    let camera = camera(128, 96);
+    let place = at(0.0, 0.0, 0.7, 1.0);
+    let frame = compose(&floor(), &[(&ball([0.8, 0.2, 0.2]), place)], &camera, &sky, config);
+    let share = suns[0].1 * suns[0].0.z / suns.map(|(d, e)| e * d.z).iter().sum::<f32>();
+    let mut seen = [0usize; 4];
+    for y in 0..camera.height {
+        for x in 0..camera.width {
+            let ray = camera.ray_world(x as f64 + 0.5, y as f64 + 0.5);
+            let t = -camera.centre().z / ray.z;
+            let p = (camera.centre() + ray * t).as_vec3();
+            // Receivers on the floor only.
+            if !(t > 0.0) || p.abs().max_element() > 3.5 {
+                continue;
+            }
+            let Some(expected) = two_suns_on_paper(p, place.translation.as_vec3(), &suns) else { continue };
+            let kind = [0.0, 1.0 - share, share, 1.0].iter().position(|v| (v - expected).abs() < 1e-4);
+            seen[kind.unwrap()] += 1;
+            for c in 0..3 {
+                let s = frame.shadow.pixel(x, y)[c];
+                // 128 samples of two texels split between them to about one in 128; a surfel ball lets 3 % through.
+                assert!((s - expected).abs() < 0.04, "({x}, {y}) {p}: {s}, on paper {expected}");
+            }
+        }
+    }
+    assert!(seen.iter().all(|n| *n > 15), "both, either and no shadow: {seen:?} pixels");
+}
+
+/// Goal: two objects that shadow the scene at once: where both stand in the light's way their visibilities multiply (hard
+/// case 32).
+#[test]
+fn visibilities_of_two_objects_multiply() {
+    let pane = |alpha: f32| {
+        let mut cloud = empty();
+        for i in 0..400 {
+            let p = Vec3::new((i % 20) as f32 - 9.5, (i / 20) as f32 - 9.5, 0.0) * 0.06;
+            push(&mut cloud, p, Vec3::Z, 0.06, alpha, [0.5; 3]);
+        }
+        cloud
+    };
+    let (thin, thick) = (pane(0.05), pane(0.12));
+    let config = ComposeConfig {
+        shadow: Some(ShadowConfig { rays: 8, denoise: Denoise::Off, ..ShadowConfig::default() }),
+        ..ComposeConfig::default()
+    };
+    let camera = camera(64, 48);
+    let shadow = |objects: &[(&SurfelCloud, Similarity)]| {
+        compose(&floor(), objects, &camera, &Zenith, config.clone()).shadow
+    };
+    let (a, b) = (at(0.0, 0.0, 1.0, 1.0), at(0.35, 0.1, 2.0, 1.0));
+    let (first, second) = (shadow(&[(&thin, a)]), shadow(&[(&thick, b)]));
+    let both = shadow(&[(&thin, a), (&thick, b)]);
+    let mut overlap = 0;
+    for ((s, x), y) in both.data.iter().zip(&first.data).zip(&second.data) {
+        // The same light samples and a product of the same factors, in another order.
+        assert!((s - x * y).abs() < 1e-4, "{s} is not {x} × {y}");
+        overlap += usize::from((0.2..0.9).contains(x) && (0.2..0.9).contains(y));
+    }
+    assert!(overlap > 60, "{overlap} samples in both shadows");
 }
 
 /// Goal: on real surfels the placement check finds the floor, floating, sunk and unobserved (hard case 33).

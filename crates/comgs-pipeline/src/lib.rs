@@ -12,6 +12,7 @@
 //! | [`stages::relight`] | decomposed asset, environment map, cameras | frames, layers, turntable |
 //! | [`stages::compose`] | scene, object, transform, cameras | frames, layers, `composition.json`, `report.html` |
 //! | [`stages::eval`] | asset or frames, ground truth | scores |
+//! | [`stages::export`] | asset | a PLY for other programs |
 //! | [`stages::synth`] | recipe | captures with ground truth |
 //! | [`stages::demo`] | the captures in `assets/demo` | all of the above |
 //! | [`stages::info`] | anything | what it holds |

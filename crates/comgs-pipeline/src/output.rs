@@ -16,6 +16,11 @@ pub fn folder_of(path: &Path) -> &Path {
 /// [`PipelineError::Output`] with the system's words.
 pub fn check_folder(folder: &Path) -> Result<(), PipelineError> {
     let failed = |doing| move |reason| PipelineError::Output { doing, folder: folder.to_owned(), reason };
+    // The system says "exists" here, which is no reason.
+    if let Some(file) = folder.ancestors().find(|p| p.is_file()) {
+        let reason = std::io::Error::other(format!("{} is a file", file.display()));
+        return Err(failed("create")(reason));
+    }
     let mut made: Vec<&Path> =
         folder.ancestors().take_while(|p| !p.as_os_str().is_empty() && !p.exists()).collect();
     let result = std::fs::create_dir_all(folder).map_err(failed("create")).and_then(|()| {

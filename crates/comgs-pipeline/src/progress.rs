@@ -9,7 +9,8 @@ use std::time::Duration;
 pub struct Status {
     /// Share that is done, in [0, 1]; `None` when unknown.
     pub fraction: Option<f64>,
-    /// What is going on, one short line (`"iteration 300, 27.1 dB, 41 k surfels"`).
+    /// What is going on, one short line of parts with commas, the most telling first
+    /// (`"27.1 dB, 41.2k surfels, step 300/700"`): a narrow terminal leaves out the last ones.
     pub message: String,
     /// Estimated time left.
     pub remaining: Option<Duration>,
@@ -97,6 +98,16 @@ pub fn human_duration(seconds: f64) -> String {
     }
 }
 
+/// A count as a person reads it: `987`, `9870`, `41.2k`, `1.3M`.
+#[must_use]
+pub fn human_count(n: usize) -> String {
+    match n {
+        0..10_000 => n.to_string(),
+        10_000..1_000_000 => format!("{:.1}k", n as f64 / 1e3),
+        _ => format!("{:.1}M", n as f64 / 1e6),
+    }
+}
+
 /// A size as a person reads it: `512 B`, `3.4 KiB`, `1.2 GiB`.
 #[must_use]
 pub fn human_bytes(bytes: u64) -> String {
@@ -128,6 +139,7 @@ mod tests {
             assert_eq!(human_duration(seconds), text);
         }
         assert_eq!(human_duration(3725.0), "1 h 02 min");
+        assert_eq!([9999, 41_234, 1_250_001].map(human_count), ["9999", "41.2k", "1.3M"]);
         assert_eq!(human_bytes(512), "512 B");
         assert_eq!(human_bytes(3 << 29), "1.5 GiB");
     }

@@ -5,6 +5,7 @@ pub mod compose;
 pub mod decompose;
 pub mod demo;
 pub mod eval;
+pub mod export;
 pub mod info;
 pub mod light;
 pub mod material;

@@ -53,6 +53,21 @@ fn a_capture_becomes_an_asset_once() {
     assert!(!reconstruct::run(&input, &quick(), &Context::silent()).unwrap().reused);
 }
 
+/// Goal: a budget that is over before the first step is warned of, and no PSNR of 0 dB is claimed.
+#[test]
+fn a_budget_without_a_step_is_told() {
+    let root = tempfile::tempdir().unwrap();
+    let input = capture(root.path());
+    let config = reconstruct::Config { time_budget_s: Some(0.001), ..quick() };
+    let made = reconstruct::run(&input, &config, &Context::silent()).unwrap();
+    assert_eq!(made.record.results["training"]["iterations"], 0);
+    assert!(made.record.warnings.iter().any(|w| w.contains("no training step")), "{:?}", made.record);
+    let asset = Asset::load(&input.output).unwrap();
+    assert!(!asset.surfels.is_empty());
+    assert!(!asset.record.training.unwrap().metrics.contains_key("train_psnr_db"));
+    assert!(!info::run(&input.output).unwrap().to_text().contains("psnr"));
+}
+
 /// Cancels when training has begun.
 struct StopInTraining(CancelToken);
 

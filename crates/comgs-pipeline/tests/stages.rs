@@ -339,6 +339,14 @@ fn info_on_everything() {
     let cameras = common::ring(4, 2.6, 1.5, (48, 36), 0.9);
     common::write_capture(&capture, &common::object_cloud(), comgs_scene::AssetKind::Object, &cameras);
     let out = |name: &str| input.output.join(name);
+    let json = Some(root.path().join("scores.json"));
+    let scored = eval::Input { subject: world.object.clone(), against: capture.clone(), relit: None, json };
+    eval::run(&scored, &Context::silent()).unwrap();
+    let recipe = serde_json::to_string(&comgs_synth::builtin::recipe("micro").unwrap()).unwrap();
+    std::fs::write(root.path().join("recipe.json"), recipe).unwrap();
+    for folder in ["object/shelf", "scene/room", "composition/room_with_shelf"] {
+        std::fs::create_dir_all(root.path().join("syncom").join(folder)).unwrap();
+    }
     for (path, expected) in [
         (world.scene.clone(), "asset (scene)"),
         (world.scene.join("asset.json"), "asset (scene)"),
@@ -351,6 +359,11 @@ fn info_on_everything() {
         (out("frames/00000.png"), "64×48"),
         (out("composition.json"), "../room.asset"),
         (out("run.json"), "light: sweep"),
+        (out("preview.gif"), "3"),
+        (out("report.html"), "ball in room"),
+        (root.path().join("scores.json"), "psnr_db"),
+        (root.path().join("recipe.json"), "recipe for synth"),
+        (root.path().join("syncom"), "shelf"),
         (input.output.clone(), "composition"),
         (capture, "4 to train, 2 to test"),
     ] {

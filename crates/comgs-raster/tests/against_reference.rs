@@ -105,7 +105,7 @@ fn gradients(
     (out, frame)
 }
 
-/// Goal: all parameters of all surfels have the gradient that central differences of the f64 reference have. Surfels are
+/// Goal (hard case 10): all parameters of all surfels have the gradient that central differences of the f64 reference have. Surfels are
 /// small and large, tilted, overlapping, and (with the filter) narrower than a pixel.
 #[test]
 fn every_parameter_against_finite_differences() {
@@ -157,7 +157,7 @@ fn every_parameter_against_finite_differences() {
     }
 }
 
-/// Goal: ⟨Jv, u⟩ = ⟨v, Jᵀu⟩ for a random direction in parameter space: one number that every entry takes part in.
+/// Goal (hard case 10): ⟨Jv, u⟩ = ⟨v, Jᵀu⟩ for a random direction in parameter space: one number that every entry takes part in.
 #[test]
 fn adjoint_identity() {
     let cloud = random_cloud(40, 21, ColorEncoding::Srgb);

@@ -8,7 +8,7 @@ use comgs_trace::{LeftOut, Ray, TraceConfig, Tracer, reference};
 use glam::{Quat, Vec3};
 use support::{direction, judge, nothing, push, soup, stack, tracer, wide};
 
-/// Goal (17): 3000 surfels on one ray, too faint to stop it, blend exactly in order: no buffer overflows, none is
+/// Goal (hard case 17): 3000 surfels on one ray, too faint to stop it, blend exactly in order: no buffer overflows, none is
 /// counted twice.
 #[test]
 fn case_17_thousands_of_hits() {
@@ -31,7 +31,7 @@ fn case_17_thousands_of_hits() {
     assert_eq!(judge(&support::tracer(&cloud), &cloud, &Ray::new(origin, d)), n);
 }
 
-/// Goal (17): 1500 overlapping surfels in random orientations at one spot, rays from all sides.
+/// Goal (hard case 17): 1500 overlapping surfels in random orientations at one spot, rays from all sides.
 #[test]
 fn case_17_overlapping_in_a_knot() {
     let mut rng = Rng::new(21);
@@ -51,7 +51,7 @@ fn case_17_overlapping_in_a_knot() {
     assert!(most > 1000, "{most}");
 }
 
-/// Goal (17): nearly opaque surfels stop the ray after a few, whatever is stacked behind.
+/// Goal (hard case 17): nearly opaque surfels stop the ray after a few, whatever is stacked behind.
 #[test]
 fn case_17_opaque_stacks() {
     let cloud = stack(2000, 0.999_999, 0.01);
@@ -67,7 +67,7 @@ fn case_17_opaque_stacks() {
     assert_eq!(endless.transmittance(Vec3::ZERO, Vec3::X, 0.0, f32::INFINITY), 0.0);
 }
 
-/// Goal (18): an origin inside the bounds of many surfels, and exactly on one: what is behind does not count, and
+/// Goal (hard case 18): an origin inside the bounds of many surfels, and exactly on one: what is behind does not count, and
 /// `t_min` decides about the one it sits on.
 #[test]
 fn case_18_origin_inside_and_on_a_surfel() {
@@ -92,7 +92,7 @@ fn case_18_origin_inside_and_on_a_surfel() {
     assert!(tracer.radiance(on, Vec3::Z, 0.0, 1.0).radiance.is_finite());
 }
 
-/// Goal (18): a ray in a surfel's plane or parallel to it misses it; a nearly parallel one is as the reference says.
+/// Goal (hard case 18): a ray in a surfel's plane or parallel to it misses it; a nearly parallel one is as the reference says.
 #[test]
 fn case_18_parallel_rays() {
     let mut cloud = SurfelCloud::empty(0, ColorEncoding::Linear);
@@ -112,7 +112,7 @@ fn case_18_parallel_rays() {
     }
 }
 
-/// Goal (18): zero, denormal and non-finite directions and origins meet nothing; unnormalised ones measure t in their
+/// Goal (hard case 18): zero, denormal and non-finite directions and origins meet nothing; unnormalised ones measure t in their
 /// own length, from 1e-30 to 1e30.
 #[test]
 fn case_18_directions() {
@@ -159,7 +159,7 @@ fn case_18_directions() {
     }
 }
 
-/// Goal (19): coplanar and duplicated surfels are all counted, and equal distances are ordered by index.
+/// Goal (hard case 19): coplanar and duplicated surfels are all counted, and equal distances are ordered by index.
 #[test]
 fn case_19_coplanar_and_duplicated() {
     let mut cloud = SurfelCloud::empty(0, ColorEncoding::Linear);
@@ -188,7 +188,7 @@ fn case_19_coplanar_and_duplicated() {
     assert!((f64::from(t) / expected - 1.0).abs() < 1e-4, "{t} {expected}");
 }
 
-/// Goal (19): no surfel, one, and only surfels that are left out.
+/// Goal (hard case 19): no surfel, one, and only surfels that are left out.
 #[test]
 fn case_19_none_and_one() {
     let none = SurfelCloud::empty(3, ColorEncoding::Srgb);
@@ -214,7 +214,7 @@ fn case_19_none_and_one() {
     assert_eq!(empty.radiance(Vec3::ZERO, Vec3::X, 0.0, f32::INFINITY), nothing());
 }
 
-/// Goal (19): a hundred thousand identical surfels build in bounded time, and a ray meets every one of them.
+/// Goal (hard case 19): a hundred thousand identical surfels build in bounded time, and a ray meets every one of them.
 #[test]
 fn case_19_all_identical() {
     let n = 100_000;
@@ -230,7 +230,7 @@ fn case_19_all_identical() {
     assert_eq!(tracer.transmittance(Vec3::ZERO, Vec3::NEG_X, 0.0, f32::INFINITY), 1.0);
 }
 
-/// Goal (19): a regular coplanar grid of equal surfels, where all costs tie, builds in bounded time and is complete.
+/// Goal (hard case 19): a regular coplanar grid of equal surfels, where all costs tie, builds in bounded time and is complete.
 #[test]
 fn case_19_regular_grid() {
     let n = 256;
@@ -247,7 +247,7 @@ fn case_19_regular_grid() {
     }
 }
 
-/// Goal (19): a million surfels: no ray loses a hit against a walk over all of them.
+/// Goal (hard case 19): a million surfels: no ray loses a hit against a walk over all of them.
 #[test]
 fn case_19_a_million() {
     let n = 1_000_000;
@@ -269,7 +269,7 @@ fn case_19_a_million() {
     assert!(hits > 100, "{hits}");
 }
 
-/// Goal (5, 19): needles, frame-filling discs and extreme log scales among ordinary surfels are finite and right.
+/// Goal (hard cases 5 and 19): needles, frame-filling discs and extreme log scales among ordinary surfels are finite and right.
 #[test]
 fn extreme_extents() {
     let mut cloud = soup(60, 33, ColorEncoding::Linear);

@@ -3,6 +3,7 @@
 use crate::stages::{compose, eval, place, reconstruct};
 use crate::{Context, PipelineError, Run, RunRecord, source};
 use comgs_geom::Similarity;
+use comgs_image::Image;
 use comgs_inverse::{Kind, Quality};
 use comgs_scene::TransformFile;
 use glam::DVec3;
@@ -41,6 +42,8 @@ impl Default for Config {
 pub struct Output {
     /// The composition.
     pub compose: compose::Output,
+    /// One view three times: the empty scene, composed, ground truth.
+    pub hero: PathBuf,
     /// Scores of the object's reconstruction.
     pub object: eval::Evaluation,
     /// Scores of the scene's reconstruction.
@@ -124,7 +127,11 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     };
     let composed = run.time("compose", || compose::run(&compose_input, &compose_config, context))?;
 
+    let hero = run.time("hero", || write_hero(&composed, &composition, &input.output))?;
+
     run.describe(String::new(), json!({"assets": input.assets}), config, Some(config.seed))?;
+    run.invalidate()?;
+    run.output(&hero)?;
     run.results(json!({
         "object": object_scores.sections,
         "scene": scene_scores.sections,
@@ -132,7 +139,69 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         "placement_error": placement_error,
     }));
     let record = run.finish()?;
-    Ok(Output { compose: composed, object: object_scores, scene: scene_scores, placement_error, record })
+    Ok(Output {
+        compose: composed,
+        hero,
+        object: object_scores,
+        scene: scene_scores,
+        placement_error,
+        record,
+    })
+}
+
+/// Pixels between the pictures of the hero.
+const HERO_GAP: usize = 4;
+
+/// Writes `hero.png`: one view as the empty scene, composed, and ground truth, side by side.
+fn write_hero(composed: &compose::Output, truth: &Path, output: &Path) -> Result<PathBuf, PipelineError> {
+    let name =
+        best_view(composed).ok_or_else(|| PipelineError::input("composition", "a scored view", "none"))?;
+    let folder = output.join("composed");
+    let file = format!("{name}.png");
+    let pictures = ["empty", "frames"].map(|kind| folder.join(kind).join(&file));
+    let mut images = Vec::new();
+    for path in pictures.into_iter().chain([truth.join("images").join(&file)]) {
+        images.push(comgs_image::read(&path)?.color);
+    }
+    let hero = output.join("hero.png");
+    comgs_image::write_png(&hero, &side_by_side(&images, HERO_GAP))?;
+    Ok(hero)
+}
+
+/// The view that gains most over the empty scene inside the true shadow: the shadow is what the picture is to show. The
+/// first view where nothing is scored there.
+fn best_view(composed: &compose::Output) -> Option<String> {
+    let evaluation = composed.evaluation.as_ref()?;
+    let scores = |section: &str| -> Vec<(String, Option<f64>)> {
+        let Some(table) = evaluation.section(section).map(|s| &s.table) else { return Vec::new() };
+        let column = table.columns.iter().position(|c| c.key == "shadow.psnr_db");
+        table.rows.iter().map(|(name, row)| (name.clone(), column.and_then(|c| row[c]))).collect()
+    };
+    let empty = scores("empty");
+    let gain = |(name, score): &(String, Option<f64>)| {
+        let before = empty.iter().find(|(other, _)| other == name).and_then(|(_, score)| *score);
+        score.zip(before).map_or(f64::NEG_INFINITY, |(after, before)| after - before)
+    };
+    let views = scores("composed");
+    let best = views.iter().reduce(|best, next| if gain(next) > gain(best) { next } else { best });
+    best.map(|(name, _)| name.clone())
+}
+
+/// Pictures of three channels in a row, brought to the first one's size, white between them.
+fn side_by_side(images: &[Image], gap: usize) -> Image {
+    let Some(first) = images.first() else { return Image::zeros(0, 0, 3) };
+    let (width, height) = (first.width, first.height);
+    let mut strip = Image::filled(images.len() * (width + gap) - gap, height, 3, 1.0);
+    for (i, image) in images.iter().enumerate() {
+        let resized = ((image.width, image.height) != (width, height)).then(|| image.resized(width, height));
+        let image = resized.as_ref().unwrap_or(image);
+        for y in 0..height {
+            for x in 0..width {
+                strip.pixel_mut(i * (width + gap) + x, y).copy_from_slice(image.pixel(x, y));
+            }
+        }
+    }
+    strip
 }
 
 /// The one folder in `assets/<kind>`.
@@ -177,4 +246,20 @@ fn place_like(
         output: input.output.join("placed.json"),
     };
     Ok(place::run(&place_input, &place_config, context)?.world_from_object)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Goal: pictures stand in order, of one height, with white between them.
+    #[test]
+    fn pictures_stand_side_by_side() {
+        let images = [Image::filled(4, 3, 3, 0.1), Image::filled(4, 3, 3, 0.2), Image::filled(8, 6, 3, 0.3)];
+        let strip = side_by_side(&images, 2);
+        assert_eq!((strip.width, strip.height, strip.channels), (16, 3, 3));
+        for (x, value) in [(0, 0.1), (4, 1.0), (6, 0.2), (11, 1.0), (12, 0.3), (15, 0.3)] {
+            assert!((strip.pixel(x, 1)[0] - value).abs() < 1e-6, "column {x}");
+        }
+    }
 }

@@ -1,5 +1,7 @@
 //! `info`: what anything of ours or of others holds.
 
+mod other;
+
 use crate::progress::{human_bytes, human_duration};
 use crate::source::extension;
 use crate::{PipelineError, record::read_record};
@@ -7,6 +9,9 @@ use comgs_image::Encoding;
 use comgs_scene::{Asset, CompositionRecord, TransformFile, check};
 use comgs_surfel::{MaterialColumns, SurfelCloud, activation::sigmoid, ply};
 use std::path::Path;
+
+/// Largest JSON that is looked at as scores or a recipe.
+const MAX_SMALL_JSON: u64 = 4 << 20;
 
 /// Facts about a file or folder.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -44,7 +49,8 @@ impl Info {
     }
 }
 
-/// Looks at a path: an asset, a PLY, a picture, a capture, a camera list, a composition, a placement or a run record.
+/// Looks at a path: an asset, a PLY, a picture, a capture or a root of captures, a camera list, a composition, a placement,
+/// scores, a recipe, a report or a run record.
 ///
 /// # Errors
 /// [`PipelineError`] when the path is not there, is none of these, or is damaged.
@@ -61,10 +67,13 @@ pub fn run(path: &Path) -> Result<Info, PipelineError> {
         ("composition.json", _) => composition(path)?,
         (_, "json") if read_record(path).is_some() => run_record(path),
         (_, "json") => json(path)?,
+        (_, "gif") => other::gif(path)?,
+        (_, "html" | "htm") => other::html(path)?,
         _ => {
             return Err(PipelineError::input(
                 path.display().to_string(),
-                "an asset, PLY, EXR, HDR, PNG, JPEG, capture, camera list, transform.json, composition.json or run.json",
+                "an asset, PLY, EXR, HDR, PNG, JPEG, GIF, HTML, capture or root of captures, camera list, transform.json, \
+                 composition.json, scores.json, a recipe or run.json",
                 format!("a file of {}", human_bytes(metadata.len())),
             ));
         }
@@ -234,6 +243,11 @@ fn folder(path: &Path) -> Result<Info, PipelineError> {
     if report.format.is_none() && path.join("run.json").is_file() {
         return Ok(run_record(&path.join("run.json")));
     }
+    if report.format.is_none()
+        && let Some(info) = other::root(path)
+    {
+        return Ok(info);
+    }
     let Some(format) = report.format else {
         // The reader's own words list what was looked for.
         comgs_scene::read_cameras(path)?;
@@ -296,7 +310,7 @@ fn run_record(path: &Path) -> Info {
     info
 }
 
-/// A placement or a camera list, whichever reads.
+/// A placement, scores, a recipe or a camera list, whichever reads.
 fn json(path: &Path) -> Result<Info, PipelineError> {
     if let Ok(file) = TransformFile::read(path) {
         let mut info = Info::new(format!("placement: {}", path.display()));
@@ -308,6 +322,14 @@ fn json(path: &Path) -> Result<Info, PipelineError> {
             info.fact(name, text);
         }
         return Ok(info);
+    }
+    // No score file or recipe is as large as a camera list may be.
+    let small = std::fs::metadata(path).is_ok_and(|m| m.len() <= MAX_SMALL_JSON);
+    if let Some(text) = small.then(|| std::fs::read_to_string(path).ok()).flatten() {
+        let scores = serde_json::from_str(&text).ok().and_then(|value| other::scores(path, &value));
+        if let Some(info) = scores.or_else(|| other::recipe(path, &text)) {
+            return Ok(info);
+        }
     }
     let cameras = comgs_scene::read_cameras(path)?;
     let mut info = Info::new(format!("camera list: {}", path.display()));

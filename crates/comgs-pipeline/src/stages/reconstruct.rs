@@ -1,5 +1,6 @@
 //! `reconstruct`: a capture becomes an asset (step 1 of the paper: radiance and geometry).
 
+use crate::progress::human_count;
 use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, Status, output, source};
 use comgs_image::{Encoding, Image, atomic, write_png};
 use comgs_inverse::{Kind, Observer, Quality, TrainConfig, TrainError, TrainStatus, TrainView, Trained};
@@ -85,6 +86,10 @@ pub struct Output {
 /// Name of the checkpoint in the asset's folder. Names that begin with a dot are no part of an asset.
 const CHECKPOINT: &str = ".checkpoint";
 
+/// What is said when the time was over before the training began.
+const NO_STEP: &str =
+    "no training step fitted into the time budget: the asset is the first surface, not trained";
+
 /// Reconstructs a capture into an asset: `asset.json`, `surfels.ply`, `cameras.json` (the capture's cameras),
 /// `preview.png`, `run.json`.
 ///
@@ -125,7 +130,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     }
     train_config.time_budget = config.time_budget_s.map(|budget| {
         // Loading has been paid from the budget already.
-        Duration::from_secs_f64((budget - started.elapsed().as_secs_f64()).max(1.0))
+        Duration::from_secs_f64((budget - started.elapsed().as_secs_f64()).max(0.01))
     });
     let points = initial_points(&capture, &mut run, context)?;
     let image_size = [views[0].camera.width, views[0].camera.height];
@@ -142,6 +147,12 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         left_out: capture.report.left_out.clone(),
     });
     let report = &trained.report;
+    let mut metrics = BTreeMap::from([(source::NEAR_METRIC.to_owned(), f64::from(report.near))]);
+    if report.iterations > 0 {
+        metrics.insert("train_psnr_db".to_owned(), f64::from(report.train_psnr_db));
+    } else {
+        run.warn(context, NO_STEP.to_owned());
+    }
     asset.record.training = Some(TrainingRecord {
         program: format!("comgs {}", crate::VERSION),
         seed: config.seed,
@@ -149,10 +160,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         seconds: report.seconds,
         config: serde_json::to_value(&train_config)
             .map_err(|e| PipelineError::Internal(format!("training configuration: {e}")))?,
-        metrics: BTreeMap::from([
-            ("train_psnr_db".to_owned(), f64::from(report.train_psnr_db)),
-            (source::NEAR_METRIC.to_owned(), f64::from(report.near)),
-        ]),
+        metrics,
     });
     run.time("save", || save(&mut asset, input))?;
     for file in ["asset.json", "surfels.ply", "cameras.json", "preview.png"] {
@@ -169,13 +177,12 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         "resolved": train_config,
     }));
     let record = run.finish()?;
-    context.progress.end(&format!(
-        "{}: {} surfels, {} steps, {:.2} dB on the training views",
-        input.output.display(),
-        asset.surfels.len(),
-        report.iterations,
-        report.train_psnr_db
-    ));
+    let quality = if report.iterations > 0 {
+        format!("{} steps, {:.2} dB on the training views", report.iterations, report.train_psnr_db)
+    } else {
+        "not trained".to_owned()
+    };
+    context.progress.end(&format!("{}: {} surfels, {quality}", input.output.display(), asset.surfels.len()));
     Ok(Output { asset: input.output.clone(), reused: false, record })
 }
 
@@ -370,8 +377,12 @@ impl Observer for Watcher<'_, '_> {
             status.phase.to_owned()
         } else {
             format!(
-                "{}, step {} of {}, {:.2} dB, {} surfels",
-                status.phase, status.iteration, status.iterations, status.psnr_db, status.surfels
+                "{:.1} dB, {} surfels, step {}/{}, {}",
+                status.psnr_db,
+                human_count(status.surfels),
+                status.iteration,
+                status.iterations,
+                status.phase.trim_start_matches("training at ")
             )
         };
         let known = status.iteration > 0 && status.remaining_s.is_finite() && status.remaining_s >= 0.0;

@@ -69,7 +69,7 @@ fn awkward_directions() -> Vec<Vec3> {
     all
 }
 
-/// Goal (20): lookups at exact poles, folds and signed zeros are the f64 reference's, whichever sign a zero has.
+/// Goal (hard case 20): lookups at exact poles, folds and signed zeros are the f64 reference's, whichever sign a zero has.
 #[test]
 fn case_20_poles_folds_and_signed_zeros() {
     for resolution in [2, 5, 16] {
@@ -100,7 +100,7 @@ fn case_20_poles_folds_and_signed_zeros() {
     }
 }
 
-/// Goal (20): interpolation is continuous along great circles across every fold and edge.
+/// Goal (hard case 20): interpolation is continuous along great circles across every fold and edge.
 #[test]
 fn case_20_continuous_everywhere() {
     let set = random_set(3, 16, 5);
@@ -126,7 +126,7 @@ fn case_20_continuous_everywhere() {
     }
 }
 
-/// Goal (20): what stands at a pole is baked at this pole, at the centre of the map (+z) and at its corners (−z).
+/// Goal (hard case 20): what stands at a pole is baked at this pole, at the centre of the map (+z) and at its corners (−z).
 #[test]
 fn case_20_baked_poles() {
     for pole in [Vec3::Z, Vec3::NEG_Z, Vec3::X, Vec3::NEG_Y] {
@@ -150,7 +150,7 @@ fn case_20_baked_poles() {
     }
 }
 
-/// Goal (21): fewer probes in the radius than asked for are used as they are, with weights of sum 1.
+/// Goal (hard case 21): fewer probes in the radius than asked for are used as they are, with weights of sum 1.
 #[test]
 fn case_21_fewer_than_k() {
     let set = set_at(&[Vec3::X, Vec3::new(0.0, 0.5, 0.0), Vec3::new(5.0, 0.0, 0.0)]);
@@ -164,7 +164,7 @@ fn case_21_fewer_than_k() {
     assert!((got[0] - 2.0 / 3.0).abs() < 1e-6, "{got:?}");
 }
 
-/// Goal (21): a probe at distance 0 gets the bounded weight, no NaN, and nearly all of it; weights are continuous
+/// Goal (hard case 21): a probe at distance 0 gets the bounded weight, no NaN, and nearly all of it; weights are continuous
 /// there.
 #[test]
 fn case_21_distance_zero() {
@@ -187,7 +187,7 @@ fn case_21_distance_zero() {
     assert!(n.weights[..5].iter().all(|w| (*w - 0.2).abs() < 1e-6));
 }
 
-/// Goal (21): outside all radii the nearest probe alone counts, however far; an isolated probe is found; an empty set
+/// Goal (hard case 21): outside all radii the nearest probe alone counts, however far; an isolated probe is found; an empty set
 /// and a point that is not finite give nothing, and nothing blends to 0.
 #[test]
 fn case_21_outside_all_radii() {
@@ -237,7 +237,7 @@ fn case_21_outside_all_radii() {
     assert!((n.weights.iter().sum::<f32>() - 1.0).abs() < 1e-6);
 }
 
-/// Goal (22): a probe inside a body sees nothing but its inside; a point outside loses it to the visible ones.
+/// Goal (hard case 22): a probe inside a body sees nothing but its inside; a point outside loses it to the visible ones.
 #[test]
 fn case_22_probe_inside_geometry() {
     let mut cloud = empty();
@@ -271,7 +271,7 @@ fn case_22_probe_inside_geometry() {
 /// (`examples/thin_wall.rs`).
 const CHEBYSHEV_GAIN: f64 = 50.0;
 
-/// Goal (22): through a wall thinner than the probes are apart, with offsets of 1 % and 2 %, the paper's weights leak
+/// Goal (hard case 22): through a wall thinner than the probes are apart, with offsets of 1 % and 2 %, the paper's weights leak
 /// and Chebyshev's do not; nothing that is visible is lost.
 #[test]
 fn case_22_thin_wall() {
@@ -291,7 +291,7 @@ fn case_22_thin_wall() {
     }
 }
 
-/// Goal (22): probes on the surface itself (offset 0) stand among the surfels and see them: occlusion is wrong with and
+/// Goal (hard case 22): probes on the surface itself (offset 0) stand among the surfels and see them: occlusion is wrong with and
 /// without visibility, which is why there is an offset. Where all are hidden, the weights say little: the leak is halved, no more.
 #[test]
 fn case_22_no_offset() {
@@ -304,7 +304,7 @@ fn case_22_no_offset() {
     assert!(ours.radiance < 0.7 * paper.radiance, "{paper:?} {ours:?}");
 }
 
-/// Goal (22): on an open surface, from without and from within, the visibility weight leaves what is visible alone.
+/// Goal (hard case 22): on an open surface, from without and from within, the visibility weight leaves what is visible alone.
 #[test]
 fn case_22_visible_probes_keep_their_weight() {
     let mut cloud = empty();
@@ -333,7 +333,7 @@ fn case_22_visible_probes_keep_their_weight() {
     }
 }
 
-/// Goal (23): blend, then sample equals sample, then blend to rounding, for every number of neighbours and all kinds of
+/// Goal (hard case 23): blend, then sample equals sample, then blend to rounding, for every number of neighbours and all kinds of
 /// directions.
 #[test]
 fn case_23_the_order_does_not_matter() {
@@ -369,7 +369,7 @@ fn occluded_share(cloud: &SurfelCloud, rays: usize) -> (f64, ProbeSet) {
     (sum / (4.0 * std::f64::consts::PI), set)
 }
 
-/// Goal (24): a plane beneath a probe hides the solid angle of its rectangle, and every direction at 30°
+/// Goal (hard case 24): a plane beneath a probe hides the solid angle of its rectangle, and every direction at 30°
 /// and more below the horizon (two texels); as far above it, nothing.
 #[test]
 fn case_24_plane() {
@@ -393,7 +393,7 @@ fn case_24_plane() {
     }
 }
 
-/// Goal (24): inside a hemisphere half of the sphere is hidden, and the distance moments are those of its
+/// Goal (hard case 24): inside a hemisphere half of the sphere is hidden, and the distance moments are those of its
 /// radius; beyond it, those of escape.
 #[test]
 fn case_24_hemisphere() {
@@ -419,7 +419,7 @@ fn case_24_hemisphere() {
     }
 }
 
-/// Goal (24): a ball at a distance hides a cap of half angle asin(r / d), whichever way it lies; occlusion baked alone
+/// Goal (hard case 24): a ball at a distance hides a cap of half angle asin(r / d), whichever way it lies; occlusion baked alone
 /// is the same and keeps the moments.
 #[test]
 fn case_24_sphere_at_a_distance() {

@@ -121,6 +121,9 @@ impl Plan {
         }
         let names: Vec<String> = input.objects.iter().map(|p| source::name_of(p)).collect();
         let placements = assign(&names, &transforms, &input.transform)?;
+        if let Some(note) = unused(&transforms, &placements, &input.transform) {
+            context.progress.note(&note);
+        }
 
         let mut timings = Vec::new();
         let scene_path = resolve(&input.scene, "scene", Kind::Scene, input, config, context, &mut timings)?;
@@ -251,6 +254,19 @@ fn assign(
     ))
 }
 
+/// What to say of transforms whose objects are not given: a forgotten `--object`, perhaps.
+fn unused(transforms: &TransformFile, placed: &[(String, Similarity)], path: &Path) -> Option<String> {
+    let without: Vec<&str> = transforms
+        .objects
+        .iter()
+        .map(|(name, _)| name.as_str())
+        .filter(|name| !placed.iter().any(|(placed, _)| placed == name))
+        .collect();
+    (!without.is_empty()).then(|| {
+        format!("{} also places {}, for which no --object is given", path.display(), without.join(", "))
+    })
+}
+
 /// The asset or PLY at a path; a capture is reconstructed into the output folder.
 fn resolve(
     path: &Path,
@@ -303,5 +319,20 @@ mod tests {
         assert_eq!(assign(&names(&["object"]), &single, path).unwrap()[0].1, at(3.0));
         let error = assign(&names(&["vase"]), &file, path).unwrap_err().to_string();
         assert!(error.contains("vase") && error.contains("cow, pot"), "{error}");
+    }
+
+    /// Goal: a transform whose object is not given is named, and nothing is said where all are used.
+    #[test]
+    fn transforms_without_objects_are_told() {
+        let file = TransformFile { objects: vec![("cow".into(), at(1.0)), ("pot".into(), at(2.0))] };
+        let path = Path::new("t.json");
+        let note = |names: &[&str]| {
+            let names: Vec<String> = names.iter().map(|s| (*s).to_owned()).collect();
+            unused(&file, &assign(&names, &file, path).unwrap(), path)
+        };
+        let told = note(&["pot"]).unwrap();
+        assert!(told.contains("places cow,") && told.contains("t.json"), "{told}");
+        assert_eq!(note(&["pot", "cow"]), None);
+        assert_eq!(note(&["cow", "cow"]), None);
     }
 }
