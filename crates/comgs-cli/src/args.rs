@@ -621,6 +621,10 @@ pub(crate) struct Eval {
 
 /// Measure what a stage's choices cost in time and memory, and what they give
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs ablate decompose data/object/cow --asset cow.asset -o out/ablation
+  comgs ablate decompose --help")]
 pub(crate) struct Ablate {
     #[command(subcommand)]
     pub what: AblateWhat,

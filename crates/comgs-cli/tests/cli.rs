@@ -15,8 +15,22 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-const COMMANDS: [&str; 10] =
-    ["reconstruct", "place", "light", "render", "compose", "eval", "export", "synth", "demo", "info"];
+const COMMANDS: [&str; 14] = [
+    "reconstruct",
+    "decompose",
+    "relight",
+    "material",
+    "place",
+    "light",
+    "render",
+    "compose",
+    "eval",
+    "ablate",
+    "export",
+    "synth",
+    "demo",
+    "info",
+];
 
 /// Goal: help lists every command with a sentence and shows the whole way; each command's help has examples that begin
 /// with the command itself.

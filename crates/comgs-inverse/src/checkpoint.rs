@@ -47,18 +47,45 @@ pub(crate) fn to_bytes(state: &State, config: &TrainConfig, views: &str) -> Vec<
         psnr: state.psnr_db,
         elapsed_s: state.elapsed_s,
     };
-    let json = serde_json::to_vec(&header).unwrap_or_default();
-    let mut out = Vec::new();
-    out.extend_from_slice(MAGIC);
-    out.extend_from_slice(&VERSION.to_le_bytes());
+    sealed(MAGIC, VERSION, &header, &columns(state))
+}
+
+/// A checkpoint's bytes: magic, version (u32), length of a JSON header (u32), the header, columns of little-endian f32.
+pub(crate) fn sealed(magic: &[u8; 8], version: u32, header: &impl Serialize, columns: &[&[f32]]) -> Vec<u8> {
+    let json = serde_json::to_vec(header).unwrap_or_default();
+    let floats: usize = columns.iter().map(|c| c.len()).sum();
+    let mut out = Vec::with_capacity(16 + json.len() + 4 * floats);
+    out.extend_from_slice(magic);
+    out.extend_from_slice(&version.to_le_bytes());
     out.extend_from_slice(&(json.len() as u32).to_le_bytes());
     out.extend_from_slice(&json);
-    for column in columns(state) {
-        for v in column {
-            out.extend_from_slice(&v.to_le_bytes());
-        }
+    for v in columns.iter().flat_map(|c| c.iter()) {
+        out.extend_from_slice(&v.to_le_bytes());
     }
     out
+}
+
+/// The header of [`sealed`] bytes, and the bytes of the columns.
+///
+/// # Errors
+/// A sentence that says what is wrong: not of this kind, damaged, or of another version.
+pub(crate) fn opened<'a, H: for<'de> Deserialize<'de>>(
+    bytes: &'a [u8],
+    magic: &[u8; 8],
+    kind: &str,
+    version: u32,
+) -> Result<(H, &'a [u8]), String> {
+    let rest = bytes.strip_prefix(magic).ok_or_else(|| format!("it is not a checkpoint of a {kind}"))?;
+    let (found, rest) = rest.split_at_checked(4).ok_or("it is truncated")?;
+    let found = u32::from_le_bytes(found.try_into().expect("four bytes"));
+    if found != version {
+        return Err(format!("it has version {found}, expected {version}"));
+    }
+    let (length, rest) = rest.split_at_checked(4).ok_or("it is truncated")?;
+    let length = u32::from_le_bytes(length.try_into().expect("four bytes")) as usize;
+    let (json, rest) = rest.split_at_checked(length).ok_or("it is truncated")?;
+    let header = serde_json::from_slice(json).map_err(|e| format!("its header is damaged ({e})"))?;
+    Ok((header, rest))
 }
 
 fn columns(state: &State) -> Vec<&[f32]> {
@@ -83,16 +110,7 @@ fn columns(state: &State) -> Vec<&[f32]> {
 /// # Errors
 /// A sentence that says what is wrong: damaged, of another version, or of another capture or configuration.
 pub(crate) fn from_bytes(bytes: &[u8], config: &TrainConfig, views: &str) -> Result<State, String> {
-    let rest = bytes.strip_prefix(MAGIC).ok_or("it is not a comgs checkpoint")?;
-    let (version, rest) = rest.split_at_checked(4).ok_or("it is truncated")?;
-    let version = u32::from_le_bytes(version.try_into().expect("four bytes"));
-    if version != VERSION {
-        return Err(format!("it has version {version}, expected {VERSION}"));
-    }
-    let (length, rest) = rest.split_at_checked(4).ok_or("it is truncated")?;
-    let length = u32::from_le_bytes(length.try_into().expect("four bytes")) as usize;
-    let (json, mut rest) = rest.split_at_checked(length).ok_or("it is truncated")?;
-    let header: Header = serde_json::from_slice(json).map_err(|e| format!("its header is damaged ({e})"))?;
+    let (header, mut rest): (Header, &[u8]) = opened(bytes, MAGIC, "reconstruction", VERSION)?;
     // A time budget may change between runs; anything else would not be the same training.
     if (TrainConfig { time_budget: None, ..header.config })
         != (TrainConfig { time_budget: None, ..config.clone() })

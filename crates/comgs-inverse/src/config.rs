@@ -40,28 +40,9 @@ pub struct TrainConfig {
     pub sh_degree: usize,
     /// Weight of 1 − SSIM (Eq. 2: 0.2).
     pub ssim_weight: f32,
-    /// Weight of depth-normal consistency (Eq. 3; paper: 0.05).
+    /// Weight of depth-normal consistency (Eq. 3), a mean over the part of the frame that is trained on: the whole frame for
+    /// scenes (the paper's 0.05), the box around the mask for objects, of which they fill about a half.
     pub depth_normal_weight: f32,
-    /// Weight of the bend of the blended normals ([`crate::normal_prior::normal_bend`]).
-    pub normal_bend_weight: f32,
-    /// x
-    pub normal_bend_scale: f32,
-    /// x
-    pub normal_bend_strides: [usize; 2],
-    /// x
-    pub normal_bend_start: f32,
-    /// x
-    pub depth_normal_start: f32,
-    /// x
-    pub coded: bool,
-    /// x
-    pub sh_pace: f32,
-    /// x
-    pub sh_ratio: f32,
-    /// x
-    pub late: f32,
-    /// x
-    pub max_sigma: f32,
     /// Weight of the mask cross-entropy (Eq. 4; paper: 0.05).
     pub mask_weight: f32,
     /// Steps between rounds of growth and pruning.
@@ -109,16 +90,6 @@ impl TrainConfig {
                 Kind::Object => 0.3,
                 Kind::Scene => 0.05,
             },
-            normal_bend_weight: 0.0,
-            normal_bend_scale: 0.1,
-            normal_bend_strides: [2, 5],
-            normal_bend_start: 0.1,
-            depth_normal_start: 0.1,
-            coded: false,
-            sh_pace: 5.0,
-            sh_ratio: 0.1,
-            late: 0.2,
-            max_sigma: 0.0,
             mask_weight: 0.05,
             density_interval: (iterations / 24).max(50),
             resolution_steps: [0.12, 0.35],

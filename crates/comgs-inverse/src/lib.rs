@@ -13,7 +13,6 @@ pub mod decompose;
 pub mod density;
 pub mod geometry_loss;
 pub mod init;
-pub mod normal_prior;
 pub mod train;
 pub mod view;
 

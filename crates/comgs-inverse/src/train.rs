@@ -6,7 +6,6 @@ use crate::density::{self, DensityConfig, Evidence};
 use crate::geometry_loss::{depth_normal, mask_cross_entropy};
 use crate::init::sweep::{SweepConfig, plane_sweep};
 use crate::init::{self, SurfacePoint, background, hull};
-use crate::normal_prior::normal_bend;
 use crate::view::{LevelView, Rig, TrainView};
 use comgs_geom::{Rng, sh};
 use comgs_image::Image;
@@ -410,8 +409,12 @@ fn thin_to(points: &mut Vec<SurfacePoint>, count: usize) {
     points.iter_mut().for_each(|p| p.spacing *= widen);
 }
 
+/// Fraction of the training after which depth-normal consistency acts: before, depths are still moving.
+const DEPTH_NORMAL_START: f32 = 0.1;
+
 struct Trainer<'a> {
     views: &'a [TrainView],
+    /// What is trained on of each view.
     cropped: Vec<TrainView>,
     config: &'a TrainConfig,
     rig: Rig,
@@ -428,14 +431,7 @@ impl<'a> Trainer<'a> {
     fn new(views: &'a [TrainView], config: &'a TrainConfig, rig: &Rig, raster: RasterConfig) -> Self {
         Self {
             views,
-            cropped: views
-                .par_iter()
-                .map(|v| {
-                    let mut v = v.cropped();
-                    v.hdr &= !config.coded;
-                    v
-                })
-                .collect(),
+            cropped: views.par_iter().map(TrainView::cropped).collect(),
             config,
             rig: *rig,
             raster,
@@ -503,7 +499,7 @@ impl<'a> Trainer<'a> {
     fn step(&mut self, state: &mut State, progress: f32) -> Result<usize, TrainError> {
         let step_start = Instant::now();
         self.set_level(self.wanted_level(progress));
-        let wanted_degree = ((progress * self.config.sh_pace) as usize).min(self.config.sh_degree);
+        let wanted_degree = ((progress * 5.0) as usize).min(self.config.sh_degree);
         if state.cloud.sh_degree < wanted_degree {
             raise_degree(state);
         }
@@ -516,7 +512,7 @@ impl<'a> Trainer<'a> {
         let camera = &view.camera;
         let (width, height) = (camera.width, camera.height);
 
-        let geometric = self.config.depth_normal_weight > 0.0 && progress >= self.config.depth_normal_start;
+        let geometric = self.config.depth_normal_weight > 0.0 && progress >= DEPTH_NORMAL_START;
         let planes = if geometric { Planes::GEOMETRY } else { Planes::COLOR };
         let frame = forward(&state.cloud, camera, planes, &self.raster, &mut self.workspace);
         let zero = |c| Image::zeros(width, height, c);
@@ -532,14 +528,7 @@ impl<'a> Trainer<'a> {
         let (mut normal, mut depth) = (None, None);
         if geometric {
             let (mut n, mut d) = (zero(3), zero(1));
-            let c = self.config;
-            depth_normal(&frame, camera, c.depth_normal_weight, &mut n, &mut d, &mut weight);
-            if progress >= c.normal_bend_start {
-                for k in c.normal_bend_strides {
-                    let w = c.normal_bend_weight;
-                    normal_bend(&frame, camera, w, k, c.normal_bend_scale, &mut n, &mut weight);
-                }
-            }
+            depth_normal(&frame, camera, self.config.depth_normal_weight, &mut n, &mut d, &mut weight);
             (normal, depth) = (Some(n), Some(d));
         }
         if let Some(mask) = &view.mask {
@@ -590,8 +579,8 @@ impl<'a> Trainer<'a> {
         let start = c.position_rate * self.rig.distance as f32;
         let position_rate = schedule::log_linear(start, 0.01 * start, progress);
         // Everything else ends at a fifth of its rate: the last steps average instead of jumping.
-        let late = schedule::log_linear(1.0, c.late, progress);
-        let mut sh_rates = vec![c.color_rate * late * c.sh_ratio; cloud.sh_stride()];
+        let late = schedule::log_linear(1.0, 0.2, progress);
+        let mut sh_rates = vec![c.color_rate * late / 10.0; cloud.sh_stride()];
         sh_rates[..3].fill(c.color_rate * late);
         let [positions, rotations, scales, opacities, harmonics] = &mut state.adam;
         let dropped =
@@ -616,10 +605,6 @@ impl<'a> Trainer<'a> {
             ) + opacities.step(&mut cloud.opacity_logits, &g.opacity_logits, c.opacity_rate * late, t, &adam)
                 + harmonics.step_rows(&mut cloud.sh, &g.sh, &sh_rates, t, &adam);
         state.dropped_gradients += dropped as u64;
-        if c.max_sigma > 0.0 {
-            let top = c.max_sigma.ln();
-            cloud.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s = s.min(top));
-        }
     }
 
     fn densify(&self, state: &mut State, progress: f32) -> Result<(), TrainError> {

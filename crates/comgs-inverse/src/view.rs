@@ -172,4 +172,30 @@ mod tests {
         assert!((with_outlier.focus - focus).length() < 0.02);
         assert!((with_outlier.spread / rig.spread - 1.0).abs() < 0.1);
     }
+
+    /// Goal: the box around the mask keeps the whole mask, and a world point falls on the same sample as before.
+    #[test]
+    fn cropping_keeps_what_is_seen() {
+        let eye = DVec3::new(3.0, 0.4, 1.0);
+        let camera = Camera::look_at("a", 120, 90, 0.8, eye, DVec3::ZERO, DVec3::Z);
+        let mut mask = Image::zeros(120, 90, 1);
+        for (x, y) in [(70, 30), (101, 52), (85, 41)] {
+            mask.pixel_mut(x, y)[0] = 1.0;
+        }
+        let color = Image::from_data(120, 90, 3, (0..120 * 90 * 3).map(|i| i as f32).collect());
+        let view = TrainView { camera, color, mask: Some(mask), valid: None, hdr: true };
+        let cut = view.cropped();
+        assert!(cut.color.width < 70 && cut.color.height < 60, "{}×{}", cut.color.width, cut.color.height);
+        assert_eq!((cut.color.width % 4, cut.color.height % 4), (0, 0));
+        assert_eq!(cut.mask.as_ref().unwrap().data.iter().sum::<f32>(), 3.0);
+        // A point behind the mask's middle.
+        let p = view.camera.unproject(85.5, 41.5, 2.0);
+        let at = |v: &TrainView| {
+            let (pixel, _) = v.camera.project(p).unwrap();
+            v.color.rgb((pixel.x - 0.5).round() as usize, (pixel.y - 0.5).round() as usize)
+        };
+        assert_eq!(at(&view), at(&cut));
+        let bare = TrainView { mask: None, ..view.clone() };
+        assert_eq!(bare.cropped().color, bare.color);
+    }
 }

@@ -6,12 +6,15 @@
 //! | stage | in | out |
 //! |---|---|---|
 //! | [`stages::reconstruct`] | capture | asset |
+//! | [`stages::decompose`] | object asset, its capture | the asset with material, `env.exr`, probes |
+//! | [`stages::material`] | decomposed asset | one of another material |
 //! | [`stages::place`] | scene, object, a point or pixel | `transform.json` |
 //! | [`stages::light`] | scene, a point | `env.exr` and pictures of how it came about |
 //! | [`stages::render`] | asset, cameras | frames, layers |
 //! | [`stages::relight`] | decomposed asset, environment map, cameras | frames, layers, turntable |
 //! | [`stages::compose`] | scene, object, transform, cameras | frames, layers, `composition.json`, `report.html` |
 //! | [`stages::eval`] | asset or frames, ground truth | scores |
+//! | [`stages::ablate`] | object capture with ground truth | table and plot of what choices cost |
 //! | [`stages::export`] | asset | a PLY for other programs |
 //! | [`stages::synth`] | recipe | captures with ground truth |
 //! | [`stages::demo`] | the captures in `assets/demo` | all of the above |

@@ -4,6 +4,7 @@
 //! lengths the header states.
 
 use super::{DecomposeConfig, State};
+use crate::checkpoint::{opened, sealed};
 use crate::view::TrainView;
 use comgs_geom::Rng;
 use comgs_light::LightPyramid;
@@ -53,19 +54,7 @@ pub(super) fn to_bytes(state: &State, config: &DecomposeConfig, identity: &str) 
         elapsed_s: state.elapsed_s,
         columns: columns.iter().map(|c| c.len()).collect(),
     };
-    let json = serde_json::to_vec(&header).unwrap_or_default();
-    let floats: usize = header.columns.iter().sum();
-    let mut out = Vec::with_capacity(16 + json.len() + 4 * floats);
-    out.extend_from_slice(MAGIC);
-    out.extend_from_slice(&VERSION.to_le_bytes());
-    out.extend_from_slice(&(json.len() as u32).to_le_bytes());
-    out.extend_from_slice(&json);
-    for column in columns {
-        for v in column {
-            out.extend_from_slice(&v.to_le_bytes());
-        }
-    }
-    out
+    sealed(MAGIC, VERSION, &header, &columns)
 }
 
 /// Everything that is floats, in a fixed order.
@@ -96,16 +85,7 @@ fn columns(state: &State) -> Vec<&[f32]> {
 /// # Errors
 /// A sentence that says what is wrong: damaged, of another version, or of another object or configuration.
 pub(super) fn from_bytes(bytes: &[u8], config: &DecomposeConfig, identity: &str) -> Result<State, String> {
-    let rest = bytes.strip_prefix(MAGIC).ok_or("it is not a checkpoint of a decomposition")?;
-    let (version, rest) = rest.split_at_checked(4).ok_or("it is truncated")?;
-    let version = u32::from_le_bytes(version.try_into().expect("four bytes"));
-    if version != VERSION {
-        return Err(format!("it has version {version}, expected {VERSION}"));
-    }
-    let (length, rest) = rest.split_at_checked(4).ok_or("it is truncated")?;
-    let length = u32::from_le_bytes(length.try_into().expect("four bytes")) as usize;
-    let (json, rest) = rest.split_at_checked(length).ok_or("it is truncated")?;
-    let header: Header = serde_json::from_slice(json).map_err(|e| format!("its header is damaged ({e})"))?;
+    let (header, mut rest): (Header, &[u8]) = opened(bytes, MAGIC, "decomposition", VERSION)?;
     // A time budget may change between runs; anything else would not be the same optimisation.
     if (DecomposeConfig { time_budget: None, ..header.config })
         != (DecomposeConfig { time_budget: None, ..config.clone() })
@@ -119,7 +99,6 @@ pub(super) fn from_bytes(bytes: &[u8], config: &DecomposeConfig, identity: &str)
     if floats.checked_mul(4) != Some(rest.len()) {
         return Err("it is truncated".into());
     }
-    let mut rest = rest;
     let mut lengths = header.columns.iter();
     let mut take = || -> Result<Vec<f32>, String> {
         let count = *lengths.next().ok_or("its header is damaged (columns are missing)")?;

@@ -1,6 +1,6 @@
 //! `decompose`: a reconstructed object becomes relightable (step 2 of the paper: material, light and visibility).
 
-use super::reconstruct::{Resume, Watcher, add_capture, load, train_views};
+use super::reconstruct::{Resume, Watcher, add_capture, load, read_checkpoint, train_views};
 use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, record, source};
 use comgs_image::{Image, encode_exr, write_png};
 use comgs_inverse::{AlbedoScale, DecomposeConfig, Decomposed, Quality, TrainError, TrainView};
@@ -216,21 +216,7 @@ fn optimise(
     run: &mut Run,
 ) -> Result<Decomposed, PipelineError> {
     let checkpoint = output.join(CHECKPOINT);
-    let resume = match (config.resume, std::fs::read(&checkpoint)) {
-        (Resume::IfThere | Resume::Expected, Ok(bytes)) => {
-            context.progress.note(&format!("continuing from {}", checkpoint.display()));
-            Some(bytes)
-        }
-        (Resume::Expected, Err(_)) => {
-            context.progress.note("there is no checkpoint to continue from; starting at the beginning");
-            None
-        }
-        (Resume::Never, Ok(_)) => {
-            context.progress.note("an interrupted run left a checkpoint; --resume would continue it");
-            None
-        }
-        (Resume::Never | Resume::IfThere, Err(_)) => None,
-    };
+    let resume = read_checkpoint(&checkpoint, config.resume, context);
     run.invalidate()?;
     let preview = output.join("preview.png");
     let mut watcher = Watcher::new(context, preview, checkpoint.clone(), config.checkpoint_interval_s);

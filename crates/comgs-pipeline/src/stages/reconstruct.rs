@@ -266,6 +266,25 @@ fn initial_points(
     Ok((!positions.is_empty()).then_some((positions, radiance)))
 }
 
+/// The checkpoint of an interrupted run, when it is wanted; says what is there and what is done with it.
+pub(super) fn read_checkpoint(checkpoint: &Path, resume: Resume, context: &Context<'_>) -> Option<Vec<u8>> {
+    match (resume, std::fs::read(checkpoint)) {
+        (Resume::IfThere | Resume::Expected, Ok(bytes)) => {
+            context.progress.note(&format!("continuing from {}", checkpoint.display()));
+            Some(bytes)
+        }
+        (Resume::Expected, Err(_)) => {
+            context.progress.note("there is no checkpoint to continue from; starting at the beginning");
+            None
+        }
+        (Resume::Never, Ok(_)) => {
+            context.progress.note("an interrupted run left a checkpoint; --resume would continue it");
+            None
+        }
+        (Resume::Never | Resume::IfThere, Err(_)) => None,
+    }
+}
+
 /// Photos as the optimisations take them.
 pub(super) fn train_views(views: &[View]) -> Vec<TrainView> {
     let of = |v: &View| TrainView {
@@ -289,21 +308,7 @@ fn train(
 ) -> Result<Trained, PipelineError> {
     let train_views = train_views(views);
     let checkpoint = input.output.join(CHECKPOINT);
-    let resume = match (config.resume, std::fs::read(&checkpoint)) {
-        (Resume::IfThere | Resume::Expected, Ok(bytes)) => {
-            context.progress.note(&format!("continuing from {}", checkpoint.display()));
-            Some(bytes)
-        }
-        (Resume::Expected, Err(_)) => {
-            context.progress.note("there is no checkpoint to continue from; starting at the beginning");
-            None
-        }
-        (Resume::Never, Ok(_)) => {
-            context.progress.note("an interrupted run left a checkpoint; --resume would continue it");
-            None
-        }
-        (Resume::Never | Resume::IfThere, Err(_)) => None,
-    };
+    let resume = read_checkpoint(&checkpoint, config.resume, context);
     run.invalidate()?;
     let mut watcher = Watcher::new(
         context,
