@@ -32,6 +32,7 @@ pub mod material;
 pub mod mesh;
 mod noise;
 pub mod path;
+pub mod places;
 pub mod produce;
 pub mod recipe;
 pub mod rig;
