@@ -16,7 +16,9 @@ use clap::{Parser, Subcommand, ValueEnum};
 pub(crate) use frames::{Compose, Relight, Render, SelfShadow};
 pub(crate) use judges::{Ablate, AblateWhat, Eval};
 pub(crate) use objects::{Decompose, Export, Material, Preset, Reconstruct, Visibility};
-pub(crate) use places::{Completion, Light, Place};
+pub(crate) use places::{
+    Completion, Light, Model, ModelCommand, ModelWhat, Panorama, PanoramaWhat, Place, SphereProtocol,
+};
 pub(crate) use synth::{Demo, Info, Synth};
 
 const OVERVIEW: &str = "\
@@ -64,6 +66,8 @@ pub(crate) enum Command {
     Decompose(Decompose),
     Place(Place),
     Light(Light),
+    Panorama(Panorama),
+    Model(ModelCommand),
     Render(Render),
     Relight(Relight),
     Compose(Compose),

@@ -1,5 +1,7 @@
 //! From arguments to stages, and from their results to what is printed.
 
+mod light;
+
 use crate::args::{self, Cli, Command};
 use crate::output::{say, write};
 use crate::terminal::Terminal;
@@ -7,8 +9,8 @@ use anyhow::{Context as _, bail};
 use clap::CommandFactory;
 use comgs_inverse::{AlbedoScale, Kind, Quality, Visibility};
 use comgs_pipeline::stages::{
-    ablate, compose, decompose, demo, eval, export, info, light, material, place, reconstruct, relight,
-    render, synth,
+    ablate, compose, decompose, demo, eval, export, info, material, place, reconstruct, relight, render,
+    synth,
 };
 use comgs_pipeline::{CancelToken, Context};
 use comgs_scene::{CheckDepth, check_with};
@@ -65,7 +67,9 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Reconstruct(a) => run_reconstruct(a, &context)?,
         Command::Decompose(a) => run_decompose(a, &context)?,
         Command::Place(a) => run_place(a, &context)?,
-        Command::Light(a) => run_light(a, &context)?,
+        Command::Light(a) => light::run_light(a, &context)?,
+        Command::Panorama(a) => light::run_panorama(a, &context)?,
+        Command::Model(a) => light::run_model(a, &context)?,
         Command::Render(a) => run_render(a, &context)?,
         Command::Relight(a) => run_relight(a, &context)?,
         Command::Compose(a) => run_compose(a, &context)?,
@@ -161,26 +165,6 @@ fn run_place(a: &args::Place, context: &Context<'_>) -> anyhow::Result<()> {
         say!("gap     {gap:+.4} (base over ground)");
     }
     say!("{}", a.output.display());
-    Ok(())
-}
-
-fn run_light(a: &args::Light, context: &Context<'_>) -> anyhow::Result<()> {
-    let input = light::Input { scene: a.scene.clone(), output: a.output.clone() };
-    let config = light::Config {
-        at: a.at,
-        completion: match a.completion {
-            args::Completion::Harmonic => light::Fill::Harmonic,
-            args::Completion::None => light::Fill::None,
-        },
-        height: a.height,
-        samples: 2,
-        near: a.near,
-    };
-    let made = light::run(&input, &config, context)?;
-    say!("seen    {:.1} % of the sphere", 100.0 * made.coverage);
-    for path in [&made.environment, &made.pictures.environment, &made.pictures.sweep, &made.pictures.alpha] {
-        say!("{}", path.display());
-    }
     Ok(())
 }
 

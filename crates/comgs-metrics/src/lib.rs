@@ -29,6 +29,7 @@ pub mod light;
 pub mod material;
 pub mod psnr;
 pub mod regions;
+pub mod spheres;
 pub mod ssim;
 
 pub use coverage::{Coverage, coverage_iou};

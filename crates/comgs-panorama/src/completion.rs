@@ -1,5 +1,6 @@
 //! Filling what a sweep has not seen.
 
+use crate::partial::Partial;
 use crate::poisson::{self, Cells};
 use comgs_geom::equirect;
 use comgs_image::Image;
@@ -30,6 +31,20 @@ pub enum CompletionError {
         /// Width, height and channels of alpha.
         alpha: [usize; 3],
     },
+    /// No full sphere.
+    #[error("the panorama is {width}×{height}; an equirectangular map is twice as wide as high")]
+    Aspect {
+        /// Width in texels.
+        width: usize,
+        /// Height in texels.
+        height: usize,
+    },
+    /// A bank without panoramas.
+    #[error("the bank holds no panorama to compare with")]
+    EmptyBank,
+    /// The learned model could not be run.
+    #[error(transparent)]
+    Model(#[from] crate::ModelError),
     /// There is nothing to continue.
     #[error("nothing was seen in any direction (largest alpha {largest}); there is no light to continue")]
     NothingSeen {
@@ -140,6 +155,27 @@ pub fn complete_harmonic(rgb: &Image, alpha: &Image) -> Result<Image, Completion
 struct Texel {
     rgb: DVec3,
     alpha: f32,
+}
+
+/// `α · rgb + (1 − α) · fill(x, y)` for a completer; clipped texels take the brighter of what was seen and the fill.
+pub(crate) fn over_fill(
+    partial: &Partial,
+    fill: &dyn Fn(usize, usize) -> DVec3,
+) -> Result<Image, CompletionError> {
+    let texels = texels(&partial.rgb, &partial.alpha)?;
+    let width = partial.rgb.width;
+    let values: Vec<DVec3> = (0..texels.len()).map(|i| fill(i % width, i / width)).collect();
+    let mut out = over(&partial.rgb, &texels, &values);
+    if let Some(clipped) = &partial.clipped {
+        for (i, &c) in clipped.data.iter().enumerate() {
+            if c > 0.5 && texels[i].alpha >= UNSEEN {
+                for (v, f) in out.data[3 * i..3 * i + 3].iter_mut().zip(values[i].to_array()) {
+                    *v = v.max(f as f32);
+                }
+            }
+        }
+    }
+    Ok(out)
 }
 
 fn texels(rgb: &Image, alpha: &Image) -> Result<Vec<Texel>, CompletionError> {

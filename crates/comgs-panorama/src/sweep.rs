@@ -1,6 +1,6 @@
 //! The 360° sweep.
 
-use crate::{Completion, CompletionError, complete};
+use crate::{Completion, CompletionError, Partial, complete};
 use comgs_geom::equirect;
 use comgs_image::Image;
 use comgs_trace::Tracer;
@@ -42,6 +42,26 @@ pub struct Sweep {
 }
 
 impl Sweep {
+    /// What a completer is given.
+    ///
+    /// * `clip`: radiance from which the capture's photos say only "at least this" (1 for pictures that clip at white);
+    ///   texels that reach it in any channel are marked; `None` for captures in high dynamic range
+    #[must_use]
+    pub fn partial(&self, clip: Option<f32>) -> Partial {
+        let clipped = clip.map(|level| {
+            let brightest = |p: &[f32]| p.iter().copied().fold(0.0, f32::max);
+            let marks = self.rgb.data.chunks_exact(3).zip(&self.alpha.data);
+            let data = marks.map(|(p, &a)| f32::from(u8::from(a > 0.5 && brightest(p) >= CLIPPED * level)));
+            Image::from_data(self.rgb.width, self.rgb.height, 1, data.collect())
+        });
+        Partial {
+            rgb: self.rgb.clone(),
+            alpha: self.alpha.clone(),
+            normal: Some(self.normal.clone()),
+            clipped,
+        }
+    }
+
     /// The radiance with its holes filled, 3 channels. See [`complete()`].
     ///
     /// # Errors
@@ -50,6 +70,9 @@ impl Sweep {
         complete(&self.rgb, &self.alpha, completion)
     }
 }
+
+/// A reconstruction reaches the photos' white only nearly.
+const CLIPPED: f32 = 0.97;
 
 /// Looks around from `centre` (world): `width × height` texels over the whole sphere, rows in parallel, the same
 /// bytes at any thread count.

@@ -61,6 +61,9 @@ pub enum PipelineError {
     /// Composition.
     #[error(transparent)]
     Compose(#[from] comgs_compose::ComposeError),
+    /// Completion of a panorama.
+    #[error(transparent)]
+    Panorama(#[from] comgs_panorama::CompletionError),
     /// Ray tracing.
     #[error(transparent)]
     Trace(#[from] comgs_trace::TraceError),

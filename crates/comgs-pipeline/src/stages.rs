@@ -1,6 +1,7 @@
 //! The stages, one module each, in the order of the flow.
 
 pub mod ablate;
+pub mod completers;
 pub mod compose;
 pub mod decompose;
 pub mod demo;
@@ -9,6 +10,9 @@ pub mod export;
 pub mod info;
 pub mod light;
 pub mod material;
+pub mod model;
+pub mod panorama;
+pub mod panorama_eval;
 pub mod place;
 pub mod reconstruct;
 pub mod relight;

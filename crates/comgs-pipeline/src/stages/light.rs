@@ -1,10 +1,14 @@
 //! `light`: what shines on a place, as an HDR environment map.
 
+mod report;
+
+use super::completers;
+pub use super::completers::{Fill, ModelConfig};
 use crate::source::extension;
 use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, source};
 use comgs_image::transfer::linear_from_srgb;
 use comgs_image::{Image, write_exr, write_hdr, write_png};
-use comgs_panorama::{Completion, SweepConfig, sweep};
+use comgs_panorama::{SweepConfig, sweep};
 use comgs_scene::AssetKind;
 use comgs_trace::{TraceConfig, Tracer};
 use glam::DVec3;
@@ -19,17 +23,12 @@ pub struct Input {
     pub scene: PathBuf,
     /// The environment map to write (`.exr` or `.hdr`); pictures go beside it.
     pub output: PathBuf,
+    /// Folder for pictures of every step and of spheres under the light.
+    pub report: Option<PathBuf>,
 }
 
-/// How what was never seen is filled.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Fill {
-    /// The smoothest field of log radiance that agrees with what was seen.
-    Harmonic,
-    /// Black.
-    None,
-}
+/// Share of the sphere under which a warning is due.
+const LEAST_COVERAGE: f64 = 0.4;
 
 /// Knobs of the stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -38,6 +37,8 @@ pub struct Config {
     pub at: [f64; 3],
     /// How holes are filled.
     pub completion: Fill,
+    /// How a learned model is run.
+    pub model: ModelConfig,
     /// Height of the map in texels; it is twice as wide.
     pub height: usize,
     /// Rays a texel along each side.
@@ -50,7 +51,14 @@ impl Config {
     /// Around a point, 256×128 texels.
     #[must_use]
     pub fn at(at: DVec3) -> Self {
-        Self { at: at.to_array(), completion: Fill::Harmonic, height: 128, samples: 2, near: 0.0 }
+        Self {
+            at: at.to_array(),
+            completion: Fill::default(),
+            model: ModelConfig::shipped(),
+            height: 128,
+            samples: 2,
+            near: 0.0,
+        }
     }
 }
 
@@ -89,6 +97,26 @@ impl Pictures {
     }
 }
 
+/// The middle of a placed object, scene world, and its radius; with no object the place of its origin, and 0.
+///
+/// # Errors
+/// [`PipelineError`]: files that cannot be read, a transform file with several objects of which none has the asset's name.
+pub fn placed(transform: &Path, object: Option<&Path>) -> Result<([f64; 3], f64), PipelineError> {
+    let file = comgs_scene::TransformFile::read(transform)?;
+    let name = object.map(source::name_of);
+    let Some(similarity) = file.get(name.as_deref()).or_else(|| file.get(None)) else {
+        let expected = "one object, or one of the --object's name";
+        return Err(PipelineError::input("--transform", expected, transform.display().to_string()));
+    };
+    let Some(object) = object else { return Ok((similarity.translation.to_array(), 0.0)) };
+    let asset = source::load_surfels(object, AssetKind::Object)?;
+    let Some((centre, radius)) = comgs_compose::objects::bounding_sphere(&asset.surfels) else {
+        return Err(PipelineError::input("--object", "an asset with surfels", object.display().to_string()));
+    };
+    let centre = similarity.transform_point(centre.as_dvec3());
+    Ok((centre.to_array(), similarity.scale * f64::from(radius)))
+}
+
 /// Sweeps the scene's radiance field around a point, completes it, and writes it as `env.exr` (or `.hdr`) with pictures.
 ///
 /// # Errors
@@ -106,6 +134,10 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     }
     let mut fingerprint = Fingerprint::new("light");
     fingerprint.surfels("scene", &input.scene)?;
+    if let Some(model) = &config.model.model {
+        fingerprint.path("model", model)?;
+    }
+    fingerprint.entry("report", format!("{:?}", input.report).as_bytes());
     fingerprint.config("config", config)?;
     let fingerprint = fingerprint.finish();
     let pictures = Pictures::beside(&input.output);
@@ -127,31 +159,55 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         Ok::<_, PipelineError>(sweep(&tracer, centre, 2 * height, height, &sweep_config))
     })?;
     context.check()?;
-    let completion = match config.completion {
-        Fill::Harmonic => Completion::Harmonic,
-        Fill::None => Completion::None,
-    };
-    let completed = run.time("complete", || seen.complete(completion)).map_err(|e| {
-        let at = config.at.map(|v| format!("{v:.3}")).join(", ");
-        PipelineError::input(
-            format!("light at ({at})"),
-            "a place that the scene's cameras saw something of",
-            e.to_string(),
-        )
-    })?;
-    run.invalidate()?;
+    // Photos in eight bits end at white; what reaches it may be a window or the sun.
+    let clip = asset.record.capture.as_ref().is_none_or(|c| !c.hdr).then_some(1.0);
+    let partial = seen.partial(clip);
     let coverage = f64::from(seen.coverage);
-    run.time("save", || save(input, &pictures, &completed, &seen.rgb, &seen.alpha))?;
+    if coverage < LEAST_COVERAGE {
+        let text = format!(
+            "only {:.0} % of the sphere around the placement was seen; most of its light is a guess",
+            100.0 * coverage
+        );
+        run.warn(context, text);
+    }
+    let started = std::time::Instant::now();
+    let completed = completers::complete(&partial, config.completion, &config.model, &mut run, context);
+    let completed = completed.map_err(|e| match e {
+        PipelineError::Panorama(comgs_panorama::CompletionError::NothingSeen { .. }) => {
+            let at = config.at.map(|v| format!("{v:.3}")).join(", ");
+            PipelineError::input(
+                format!("light at ({at})"),
+                "a place that the scene's cameras saw something of",
+                e.to_string(),
+            )
+        }
+        other => other,
+    })?;
+    run.add_time("complete", started.elapsed().as_secs_f64(), false);
+    run.invalidate()?;
+    run.time("save", || save(input, &pictures, &completed.image, &seen.rgb, &seen.alpha))?;
     for path in [&input.output, &pictures.environment, &pictures.sweep, &pictures.alpha] {
         run.output(path)?;
     }
-    run.results(json!({"coverage": coverage, "size": [2 * height, height]}));
+    if let Some(folder) = &input.report {
+        let files = run.time("report", || report::write(folder, &seen, &partial, &completed))?;
+        for path in files {
+            run.output(&path)?;
+        }
+    }
+    run.results(json!({
+        "coverage": coverage,
+        "clipped": partial.clipped.as_ref().map(|c| f64::from(comgs_panorama::sweep::coverage(c))),
+        "size": [2 * height, height],
+        "completer": completed.by,
+        "runtime": completed.runtime,
+    }));
     let record = run.finish()?;
     context.progress.end(&format!(
-        "{}: {:.0} % of the sphere was seen, the rest is {}",
+        "{}: {:.0} % of the sphere was seen, the rest is filled by {}",
         input.output.display(),
         100.0 * coverage,
-        if config.completion == Fill::Harmonic { "filled smoothly" } else { "black" }
+        completed.by
     ));
     Ok(Output { environment: input.output.clone(), pictures, coverage, reused: false, record })
 }

@@ -164,8 +164,11 @@ impl Plan {
                 radius += object.world_from_object.scale * f64::from(r) / self.objects.len() as f64;
             }
         }
-        let light_input =
-            light::Input { scene: self.scene_path.clone(), output: input.output.join("env.exr") };
+        let light_input = light::Input {
+            scene: self.scene_path.clone(),
+            output: input.output.join("env.exr"),
+            report: None,
+        };
         let output = light::run(&light_input, &super::light_config(centre, radius), context)?;
         for t in &output.record.timings {
             let stage = format!("light: {}", t.stage);
