@@ -5,13 +5,13 @@
 //! `tests/learned.rs`). It predicts two codes a channel ([`crate::codes`]) over the whole sphere; in one step it gives the
 //! mean of what may be there, in several steps a sample of it.
 
-use crate::CompletionError;
 use crate::bundle::{Bundle, Channels, Manifest, ModelError};
 use crate::completion::over_fill;
 use crate::onnx::{Graph, Runtime, Tensor};
 use crate::partial::{Completer, Partial, resized, roll};
 use crate::schedule::Sampler;
 use crate::simple::known_mean;
+use crate::{CompletionError, complete_harmonic};
 use comgs_geom::{Rng, equirect};
 use comgs_image::Image;
 use glam::{Mat3, Vec3};
@@ -253,7 +253,52 @@ impl Completer for Learned {
         let fill = self.decoded(&codes, prepared.level)?;
         let [width, _] = self.manifest.resolution;
         let fill = roll(&fill, (width - prepared.shift) % width);
+        let fill = joined(partial, &fill)?;
         let fill = resized(&fill, partial.rgb.width, partial.rgb.height);
         over_fill(partial, &|x, y| Vec3::from(fill.rgb(x, y)).as_dvec3())
     }
+}
+
+/// σ of the joint. On maps of neither training nor judgement, 0 / 12 / 25 / 45° gave si-RMSE of the mirror sphere 1.66 / 1.62 /
+/// 1.61 / 1.60, glossy 0.317 / 0.315 / 0.324 / 0.337, diffuse 0.084 / 0.087 / 0.093 / 0.107 at 40–60 % coverage.
+const JOINED_DEG: f32 = 12.0;
+
+/// The network's fill joined to what is known: near it the harmonic completion, which has no seam and interpolates small
+/// holes better; far from it the network's. Mixed in the logarithm with the weight `1 − exp(−(d/σ)²)`, d the angle to the
+/// nearest known texel.
+fn joined(partial: &Partial, fill: &Image) -> Result<Image, CompletionError> {
+    let (width, height) = (fill.width, fill.height);
+    let alpha = resized(&partial.alpha, width, height);
+    let known = Partial { rgb: known_mean(partial, width, height), alpha, normal: None, clipped: None };
+    let smooth = complete_harmonic(&known.rgb, &known.alpha)?;
+    let direction = |i: usize| equirect::texel_direction(i % width, i / width, width, height);
+    let seen = |i: usize| known.alpha.data[i] > KNOWN;
+    // Only the border of what is known can be nearest.
+    let border: Vec<Vec3> = (0..width * height)
+        .filter(|&i| {
+            let (x, y) = (i % width, i / width);
+            let near = [
+                y * width + (x + 1) % width,
+                y * width + (x + width - 1) % width,
+                y.saturating_sub(1) * width + x,
+                (y + 1).min(height - 1) * width + x,
+            ];
+            seen(i) && near.iter().any(|&j| !seen(j))
+        })
+        .map(direction)
+        .collect();
+    let mut out = fill.clone();
+    for (i, pixel) in out.data.chunks_exact_mut(3).enumerate() {
+        if seen(i) {
+            continue;
+        }
+        let d = direction(i);
+        let cos = border.iter().map(|b| b.dot(d)).fold(-1.0, f32::max);
+        let angle = cos.clamp(-1.0, 1.0).acos().to_degrees();
+        let weight = 1.0 - (-(angle / JOINED_DEG).powi(2)).exp();
+        for (v, s) in pixel.iter_mut().zip(&smooth.data[3 * i..3 * i + 3]) {
+            *v = (weight * v.max(1e-9).ln() + (1.0 - weight) * s.max(1e-9).ln()).exp();
+        }
+    }
+    Ok(out)
 }

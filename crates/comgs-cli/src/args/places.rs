@@ -1,5 +1,6 @@
 //! Arguments of the commands that look at a place.
 
+use super::Switch;
 use crate::values::{Pixel, distance, number, pixel, point, positive};
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -127,6 +128,11 @@ pub(crate) struct Light {
 
     #[command(flatten)]
     pub model: Model,
+
+    /// Ask the scene's own lit and shadowed surfaces for strong lights and for the scale of what was completed: better than a
+    /// harmonic completion alone, not yet than the learned one (docs/lighting.md)
+    #[arg(long, value_enum, default_value = "off")]
+    pub evidence: Switch,
 
     /// Height of the map in texels; it is twice as wide
     #[arg(long, default_value_t = 128, value_parser = map_height)]

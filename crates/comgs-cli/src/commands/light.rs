@@ -43,6 +43,7 @@ pub(super) fn run_light(a: &args::Light, context: &Context<'_>) -> anyhow::Resul
     let config = light::Config {
         completion: a.completion.into(),
         model: (&a.model).into(),
+        evidence: a.evidence == args::Switch::On,
         height: a.height,
         near: a.near.unwrap_or(0.5 * size),
         ..light::Config::at(at.into())

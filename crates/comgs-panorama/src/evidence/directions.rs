@@ -1,4 +1,4 @@
-//! Directions in bins of equal size, and pieces of bins.
+//! Directions: bins of equal size over the sphere, and a closer look around one.
 
 use crate::Partial;
 use comgs_geom::equirect;
@@ -60,6 +60,11 @@ impl Bins {
         self.radiance[b]
     }
 
+    /// Radiance of the bin that a direction falls into.
+    pub(super) fn radiance_at(&self, d: Vec3) -> DVec3 {
+        self.radiance[nearest(&self.directions, d)]
+    }
+
     pub(super) fn is_unknown(&self, b: usize) -> bool {
         self.unknown[b]
     }
@@ -70,41 +75,24 @@ impl Bins {
     }
 
     /// Angle from a bin's middle to its rim, as if it were a disc.
-    fn radius(&self) -> f64 {
+    pub(super) fn radius(&self) -> f64 {
         (1.0 - self.solid_angle() / (2.0 * PI)).acos()
     }
+}
 
-    /// Bins around a direction with weights that fall to 0 at 1.5 radii.
-    pub(super) fn near(&self, d: Vec3) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let reach = (1.5 * self.radius()).cos();
-        self.directions.iter().enumerate().filter_map(move |(b, c)| {
-            let cos = f64::from(c.dot(d));
-            (cos > reach).then(|| (b, ((cos - reach) / (1.0 - reach)).powi(2)))
+/// Directions within `radius` of an axis: a sunflower over the cap.
+pub(super) fn around(axis: Vec3, radius: f64, count: usize) -> Vec<Vec3> {
+    let axis = axis.as_dvec3();
+    let side = axis.any_orthonormal_vector();
+    let up = axis.cross(side);
+    (0..count)
+        .map(|k| {
+            let cos = 1.0 - (k as f64 + 0.5) / count as f64 * (1.0 - radius.cos());
+            let azimuth = PI * (1.0 + 5f64.sqrt()) * k as f64;
+            let sin = (1.0 - cos * cos).max(0.0).sqrt();
+            (side * (sin * azimuth.cos()) + up * (sin * azimuth.sin()) + axis * cos).as_vec3().normalize()
         })
-    }
-
-    /// Pieces of some bins.
-    pub(super) fn pieces(&self, split: &[usize], each: usize) -> Pieces {
-        let cap = self.solid_angle();
-        let mut directions = Vec::new();
-        for &b in split {
-            let axis = self.directions[b];
-            let side = axis.any_orthonormal_vector();
-            let up = axis.cross(side);
-            for k in 0..each {
-                // A sunflower over the bin's cap; a little wider, because its middle is only a guess.
-                let share = (k as f64 + 0.5) / each as f64;
-                let cos = 1.0 - 1.5 * share * cap / (2.0 * PI);
-                let azimuth = PI * (1.0 + 5f64.sqrt()) * k as f64;
-                let sin = (1.0 - cos * cos).max(0.0).sqrt();
-                let d = side.as_dvec3() * sin * azimuth.cos()
-                    + up.as_dvec3() * sin * azimuth.sin()
-                    + axis.as_dvec3() * cos;
-                directions.push(d.as_vec3().normalize());
-            }
-        }
-        Pieces { directions, solid_angle: cap / each as f64 }
-    }
+        .collect()
 }
 
 fn nearest(directions: &[Vec3], d: Vec3) -> usize {
@@ -116,31 +104,4 @@ fn nearest(directions: &[Vec3], d: Vec3) -> usize {
         }
     }
     best.1
-}
-
-/// Small discs inside bins.
-pub(super) struct Pieces {
-    directions: Vec<Vec3>,
-    solid_angle: f64,
-}
-
-impl Pieces {
-    pub(super) fn len(&self) -> usize {
-        self.directions.len()
-    }
-
-    pub(super) fn direction(&self, p: usize) -> Vec3 {
-        self.directions[p]
-    }
-
-    pub(super) fn solid_angle(&self) -> f64 {
-        self.solid_angle
-    }
-
-    /// How much of a piece's light comes from `d`: a bump of about the piece's size.
-    pub(super) fn weight(&self, p: usize, d: Vec3) -> f64 {
-        let rim = 1.0 - 2.0 * self.solid_angle / (2.0 * PI);
-        let cos = f64::from(self.directions[p].dot(d));
-        if cos > rim { (cos - rim) / (1.0 - rim) } else { 0.0 }
-    }
 }

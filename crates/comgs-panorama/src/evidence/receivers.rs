@@ -13,6 +13,8 @@ pub(super) struct Receiver {
     /// Linear radiance as seen from the sweep's centre.
     pub radiance: DVec3,
     pub cluster: usize,
+    /// Whether the photos clipped it: it reflects at least this much.
+    pub clipped: bool,
     /// Whether it only judges.
     pub judge: bool,
 }
@@ -29,62 +31,89 @@ pub(super) struct Receivers {
 const JUDGES: usize = 5;
 /// Points further than this many times the median distance are left out: light is not the same there.
 const FURTHEST: f32 = 3.0;
+/// Points darker than this share of the mean are left out.
+const DARKEST: f64 = 0.03;
+/// Points that a cluster needs.
+const FEWEST_ALIKE: usize = 25;
 /// Rounds of the clustering.
 const ROUNDS: usize = 12;
 
 impl Receivers {
-    /// Picks texels of the sweep with chances in proportion to their solid angle; opaque, not clipped, not black, facing the
-    /// centre.
-    pub(super) fn choose(seen: &Sweep, centre: Vec3, config: &Config) -> Self {
-        let (width, height) = (seen.rgb.width, seen.rgb.height);
-        let mut depths: Vec<f32> = seen
-            .depth
-            .data
+    /// Picks texels of sweeps with chances in proportion to their solid angle; opaque, not black, facing the sweep's
+    /// centre. Several sweeps see behind things, where their shadows lie.
+    pub(super) fn choose(sweeps: &[(Vec3, Sweep)], config: &Config) -> Self {
+        let mut depths: Vec<f32> = sweeps
             .iter()
-            .zip(&seen.alpha.data)
+            .take(1)
+            .flat_map(|(_, s)| s.depth.data.iter().zip(&s.alpha.data))
             .filter(|(_, a)| **a > 0.9)
             .map(|(d, _)| *d)
             .collect();
         depths.sort_by(f32::total_cmp);
         let median = depths.get(depths.len() / 2).copied().unwrap_or(0.0);
-        let nearest = depths.first().copied().unwrap_or(0.0).max(1e-6);
-        let mut rng = Rng::stream(config.seed, 0x6576_6964);
         let mut all = Vec::new();
-        let mut used = vec![false; width * height];
-        for _ in 0..8 * config.points {
-            if all.len() >= config.points {
-                break;
-            }
-            let z = 1.0 - 2.0 * rng.uniform();
-            let azimuth = std::f32::consts::TAU * rng.uniform();
-            let r = (1.0 - z * z).max(0.0).sqrt();
-            let (u, v) = equirect::uv_from_direction(Vec3::new(r * azimuth.cos(), r * azimuth.sin(), z));
-            let x = ((u * width as f32) as usize).min(width - 1);
-            let y = ((v * height as f32) as usize).min(height - 1);
-            let i = y * width + x;
-            let depth = seen.depth.data[i];
-            if used[i] || seen.alpha.data[i] < 0.95 || depth <= 0.0 || depth > FURTHEST * median {
-                continue;
-            }
-            used[i] = true;
-            let d = equirect::texel_direction(x, y, width, height);
-            let normal = Vec3::from(seen.normal.rgb(x, y));
-            let radiance = Vec3::from(seen.rgb.rgb(x, y)).as_dvec3();
-            let usable = radiance.is_finite()
-                && radiance.min_element() > 1e-4
-                && radiance.max_element() < 0.95
-                && normal.dot(d) < -0.15;
-            if usable {
-                let position = centre + d * depth;
-                all.push(Receiver { position, normal, radiance, cluster: 0, judge: all.len() % JUDGES == 0 });
-            }
+        for (k, (centre, seen)) in sweeps.iter().enumerate() {
+            let mut rng = Rng::stream(config.seed, 0x6576_6964 + k as u64);
+            let share = config.points / sweeps.len().max(1);
+            pick(seen, *centre, share, FURTHEST * median, config.clip, &mut rng, &mut all);
+        }
+        // What is nearly black tells of its own noise and of what shines through it.
+        let mean = all.iter().map(|r| r.radiance.element_sum()).sum::<f64>() / all.len().max(1) as f64;
+        all.retain(|r| r.radiance.element_sum() > DARKEST * mean);
+        for (i, r) in all.iter_mut().enumerate() {
+            r.judge = i % JUDGES == 0;
         }
         let clusters = cluster(&mut all, config, median.max(1e-6));
-        Self { all, clusters, offset: 0.02 * median.max(nearest) }
+        // A cluster of few points explains itself by its own albedo, whatever the light.
+        let mut counts = vec![0; clusters];
+        all.iter().for_each(|r| counts[r.cluster] += 1);
+        all.retain(|r| counts[r.cluster] >= FEWEST_ALIKE);
+        Self { all, clusters, offset: 0.01 * median }
     }
 
     pub(super) fn len(&self) -> usize {
         self.all.len()
+    }
+}
+
+/// Adds up to `count` texels of a sweep.
+fn pick(
+    seen: &Sweep,
+    centre: Vec3,
+    count: usize,
+    furthest: f32,
+    clip: Option<f32>,
+    rng: &mut Rng,
+    all: &mut Vec<Receiver>,
+) {
+    let (width, height) = (seen.rgb.width, seen.rgb.height);
+    let mut used = vec![false; width * height];
+    let until = all.len() + count;
+    for _ in 0..8 * count {
+        if all.len() >= until {
+            break;
+        }
+        let z = 1.0 - 2.0 * rng.uniform();
+        let azimuth = std::f32::consts::TAU * rng.uniform();
+        let r = (1.0 - z * z).max(0.0).sqrt();
+        let (u, v) = equirect::uv_from_direction(Vec3::new(r * azimuth.cos(), r * azimuth.sin(), z));
+        let x = ((u * width as f32) as usize).min(width - 1);
+        let y = ((v * height as f32) as usize).min(height - 1);
+        let i = y * width + x;
+        let depth = seen.depth.data[i];
+        if used[i] || seen.alpha.data[i] < 0.95 || depth <= 0.0 || depth > furthest {
+            continue;
+        }
+        used[i] = true;
+        let d = equirect::texel_direction(x, y, width, height);
+        let normal = Vec3::from(seen.normal.rgb(x, y));
+        let radiance = Vec3::from(seen.rgb.rgb(x, y)).as_dvec3();
+        let usable = radiance.is_finite() && radiance.min_element() > 1e-4 && normal.dot(d) < -0.15;
+        if usable {
+            let position = centre + d * depth;
+            let clipped = clip.is_some_and(|level| radiance.max_element() > 0.93 * f64::from(level));
+            all.push(Receiver { position, normal, radiance, cluster: 0, clipped, judge: false });
+        }
     }
 }
 
@@ -99,7 +128,8 @@ fn cluster(all: &mut [Receiver], config: &Config, scale: f32) -> usize {
         .map(|r| {
             let hue = [(r.radiance.x / r.radiance.y).ln() as f32, (r.radiance.z / r.radiance.y).ln() as f32];
             let n = r.normal * 0.7;
-            let p = r.position / scale * 0.25;
+            // Hardly by place: a cluster as small as a shadow would take it for dark paint.
+            let p = r.position / scale * 0.03;
             [2.0 * hue[0], 2.0 * hue[1], n.x, n.y, n.z, p.x, p.y, p.z]
         })
         .collect();

@@ -1,264 +1,271 @@
-//! Robust non-negative least squares for radiance, alternating with albedo.
+//! How well lights explain what the points reflect: robust losses with the albedos of clusters solved along.
 
-use super::Config;
-use super::directions::{Bins, Pieces};
+use super::directions::Bins;
 use super::receivers::Receivers;
 use comgs_trace::Tracer;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use std::f64::consts::PI;
 
-/// What each point would reflect: `albedo_cluster · (known + Σ_k gains_k e_k)`, all over π.
-pub(super) struct Problem {
-    /// Irradiance over π from what is known.
+/// What reaches each point: `known + scale · rest + Σ_j E_j gain_j`, irradiance over π.
+pub(super) struct Testimony<'r> {
+    receivers: &'r Receivers,
+    /// From surfaces and sky that were seen.
     known: Vec<DVec3>,
-    /// `cos V Δω / π` for every point (rows) and unknown.
-    gains: Vec<Vec<f64>>,
-    radiance: Vec<DVec3>,
-    cluster: Vec<usize>,
-    judge: Vec<bool>,
-    clusters: usize,
+    /// From the completed part, as the completion has it.
+    rest: Vec<DVec3>,
+    /// What errors are measured against, for each point and channel.
+    scales: Vec<DVec3>,
+    /// Loss under the completion as it is.
     prior: f64,
-    /// Weight of each unknown's prior: its share of a bin.
-    stiffness: Vec<f64>,
 }
 
-/// Radiance of the unknowns, and albedo of each cluster.
-pub(super) struct Solution {
-    pub radiance: Vec<DVec3>,
-    pub albedo: Vec<DVec3>,
+/// A light: where from, and what it gives a surface that faces it.
+#[derive(Clone, Debug)]
+pub(super) struct Source {
+    pub direction: Vec3,
+    pub irradiance: DVec3,
+    /// `cos · visibility / π` of every point.
+    pub gain: Vec<f64>,
+    /// What the completion has around the direction, which may be this very light, blurred: what reaches every point from
+    /// there, and its scale.
+    pub near: Vec<DVec3>,
+    /// Scale of it.
+    pub near_scale: DVec3,
 }
 
-/// Relative residual from which the Huber loss grows linearly.
-const HUBER: f64 = 0.08;
-/// Alternations between radiance and albedo.
-const ROUNDS: usize = 40;
-/// Sweeps of coordinate descent in each.
-const SWEEPS: usize = 4;
-/// Albedos are sought up to this.
-const WHITEST: f64 = 0.95;
+/// Relative error from which the Huber loss grows linearly.
+const HUBER: f64 = 0.1;
+/// Rounds of reweighting for albedo.
+const REWEIGHTED: usize = 4;
+/// Albedos are sought within these.
+const ALBEDO: (f64, f64) = (0.01, 0.95);
+/// Irradiances are tried from this part of the mean of what reaches the points, each this factor more than the last.
+const WEAKEST: f64 = 0.1;
+const STEP: f64 = 1.6;
+const TRIED: i32 = 12;
+/// Weight of the squared logarithm of the rest's scale, as a share of the loss under the completion: what cannot be explained
+/// at all must not push the scale about.
+const SCALE_PRIOR: f64 = 0.3;
+/// The same for what surrounds a light: what stands there in the completion is likely the light itself.
+const NEAR_PRIOR: f64 = 0.01;
+/// How far around a light the completion may be that light, degrees.
+pub(super) const NEAR_DEG: f32 = 35.0;
+/// Weight of the squared logarithm of albedo over a plain surface's, as such a share, and that albedo.
+const PAINT_PRIOR: f64 = 0.05;
+const PLAIN: f64 = 0.4;
 
-impl Problem {
-    /// Traces every point's view of every bin.
-    pub(super) fn trace(
-        tracer: &Tracer,
-        receivers: &Receivers,
-        bins: &Bins,
-        unknown: &[usize],
-        config: &Config,
-    ) -> Self {
-        let mut index = vec![usize::MAX; bins.len()];
-        for (k, &b) in unknown.iter().enumerate() {
-            index[b] = k;
-        }
-        let scale = bins.solid_angle() / std::f64::consts::PI;
-        let rows: Vec<(DVec3, Vec<f64>)> = receivers
+impl<'r> Testimony<'r> {
+    /// Traces every point's view of every bin; returns what is known of the points and, for each unknown bin, its gains.
+    pub(super) fn trace(tracer: &Tracer, receivers: &'r Receivers, bins: &Bins) -> (Self, Vec<Source>) {
+        let scale = bins.solid_angle() / PI;
+        let rows: Vec<(DVec3, DVec3, Vec<f64>)> = receivers
             .all
             .par_iter()
             .map(|r| {
                 let origin = r.position + r.normal * receivers.offset;
-                let (mut known, mut gains) = (DVec3::ZERO, vec![0.0; unknown.len()]);
-                for b in 0..bins.len() {
+                let (mut known, mut rest, mut gains) = (DVec3::ZERO, DVec3::ZERO, vec![0.0; bins.len()]);
+                for (b, gain) in gains.iter_mut().enumerate() {
                     let d = bins.direction(b);
                     let cos = f64::from(r.normal.dot(d));
                     if cos <= 0.0 {
                         continue;
                     }
                     let hit = tracer.radiance(origin, d, 0.0, f32::INFINITY);
-                    let through = f64::from(1.0 - hit.alpha).max(0.0);
+                    let through = cos * f64::from(1.0 - hit.alpha).max(0.0);
                     known += cos * scale * hit.radiance.as_dvec3();
-                    if index[b] == usize::MAX {
-                        known += cos * scale * through * bins.radiance(b);
+                    let sky = through * scale * bins.radiance(b);
+                    if bins.is_unknown(b) {
+                        rest += sky
                     } else {
-                        gains[index[b]] = cos * scale * through;
+                        known += sky
                     }
+                    *gain = through / PI;
                 }
-                (known, gains)
+                (known, rest, gains)
             })
             .collect();
-        let (known, gains) = rows.into_iter().unzip();
-        Self {
-            known,
-            gains,
-            radiance: receivers.all.iter().map(|r| r.radiance).collect(),
-            cluster: receivers.all.iter().map(|r| r.cluster).collect(),
-            judge: receivers.all.iter().map(|r| r.judge).collect(),
-            clusters: receivers.clusters,
-            prior: config.prior,
-            stiffness: vec![1.0; unknown.len()],
-        }
+        let mean = receivers.all.iter().map(|r| r.radiance).sum::<DVec3>() / receivers.len() as f64;
+        let scales =
+            receivers.all.iter().map(|r| r.radiance.max(0.25 * mean).max(DVec3::splat(1e-6))).collect();
+        let sources = (0..bins.len())
+            .filter(|&b| bins.is_unknown(b))
+            .map(|b| Source {
+                direction: bins.direction(b),
+                irradiance: DVec3::ZERO,
+                gain: rows.iter().map(|r| r.2[b]).collect(),
+                near: Vec::new(),
+                near_scale: DVec3::ONE,
+            })
+            .collect();
+        let mut testimony = Self {
+            receivers,
+            prior: 0.0,
+            known: rows.iter().map(|r| r.0).collect(),
+            rest: rows.iter().map(|r| r.1).collect(),
+            scales,
+        };
+        testimony.prior = testimony.loss(&testimony.light(DVec3::ONE, &[]), 0..3, false);
+        (testimony, sources)
     }
 
-    /// The same with pieces of the unknowns `split` added after the rest.
-    pub(super) fn trace_closer(
-        tracer: &Tracer,
-        receivers: &Receivers,
-        coarse: &Self,
-        split: &[usize],
-        pieces: &Pieces,
-        config: &Config,
-    ) -> Self {
-        let scale = pieces.solid_angle() / std::f64::consts::PI;
-        let gains = receivers
+    /// A source in a direction that is no bin's.
+    pub(super) fn source(&self, tracer: &Tracer, direction: Vec3) -> Source {
+        let gain = self
+            .receivers
             .all
             .par_iter()
-            .zip(&coarse.gains)
-            .map(|(r, row)| {
-                let origin = r.position + r.normal * receivers.offset;
-                let mut row = row.clone();
-                row.extend((0..pieces.len()).map(|p| {
-                    let d: Vec3 = pieces.direction(p);
-                    let cos = f64::from(r.normal.dot(d));
-                    if cos <= 0.0 {
-                        return 0.0;
-                    }
-                    cos * scale * f64::from(tracer.transmittance(origin, d, 0.0, f32::INFINITY))
-                }));
-                row
+            .map(|r| {
+                let cos = f64::from(r.normal.dot(direction));
+                if cos <= 0.0 {
+                    return 0.0;
+                }
+                let origin = r.position + r.normal * self.receivers.offset;
+                cos * f64::from(tracer.transmittance(origin, direction, 0.0, f32::INFINITY)) / PI
             })
             .collect();
-        let mut stiffness = coarse.stiffness.clone();
-        for &k in split {
-            // What a split bin gained belongs to its pieces now.
-            stiffness[k] = 100.0;
-        }
-        stiffness.extend(std::iter::repeat_n(0.1, pieces.len()));
-        Self {
-            known: coarse.known.clone(),
-            gains,
-            radiance: coarse.radiance.clone(),
-            cluster: coarse.cluster.clone(),
-            judge: coarse.judge.clone(),
-            clusters: coarse.clusters,
-            prior: config.prior,
-            stiffness,
+        Source { direction, irradiance: DVec3::ZERO, gain, near: Vec::new(), near_scale: DVec3::ONE }
+    }
+
+    /// Gives a source what the completion has around it.
+    ///
+    /// * `candidates`: the sources of all unknown bins
+    pub(super) fn surround(&self, source: &mut Source, candidates: &[Source], bins: &Bins) {
+        source.near = vec![DVec3::ZERO; self.known.len()];
+        for other in candidates {
+            if other.direction.angle_between(source.direction) < NEAR_DEG.to_radians() {
+                let radiance = bins.radiance_at(other.direction) * bins.solid_angle();
+                for (near, g) in source.near.iter_mut().zip(&other.gain) {
+                    *near += radiance * *g;
+                }
+            }
         }
     }
 
-    fn light(&self, i: usize, radiance: &[DVec3]) -> DVec3 {
-        self.known[i] + self.gains[i].iter().zip(radiance).map(|(g, e)| *g * *e).sum::<DVec3>()
+    /// What reaches the points under some sources.
+    pub(super) fn light(&self, scale: DVec3, sources: &[Source]) -> Vec<DVec3> {
+        let mut light: Vec<DVec3> = self.known.iter().zip(&self.rest).map(|(k, r)| *k + scale * *r).collect();
+        for source in sources {
+            for (l, g) in light.iter_mut().zip(&source.gain) {
+                *l += source.irradiance * *g;
+            }
+            for (l, near) in light.iter_mut().zip(&source.near) {
+                *l += scale * (source.near_scale - DVec3::ONE) * *near;
+            }
+        }
+        light
     }
 
-    /// Albedo of each cluster under a given light: the weighted median of what points reflect over what reaches them.
-    pub(super) fn fit_albedo(&self, radiance: &[DVec3]) -> Vec<DVec3> {
-        let lights: Vec<DVec3> = (0..self.known.len()).map(|i| self.light(i, radiance)).collect();
-        (0..self.clusters)
-            .map(|cluster| {
-                let mut albedo = DVec3::splat(0.3);
-                for c in 0..3 {
-                    let mut ratios: Vec<f64> = (0..lights.len())
-                        .filter(|&i| self.cluster[i] == cluster && !self.judge[i] && lights[i][c] > 1e-9)
-                        .map(|i| self.radiance[i][c] / lights[i][c])
-                        .collect();
-                    ratios.sort_by(f64::total_cmp);
-                    if let Some(median) = ratios.get(ratios.len() / 2) {
-                        albedo[c] = median.min(WHITEST);
+    /// The mean over all points of what reaches them, π-fold.
+    pub(super) fn mean_irradiance(&self, light: &[DVec3]) -> DVec3 {
+        light.iter().sum::<DVec3>() * PI / light.len().max(1) as f64
+    }
+
+    /// Mean Huber loss of relative errors with each cluster's albedo at its best, over the points that judge or over the
+    /// others. Albedos always come from the others.
+    pub(super) fn loss(&self, light: &[DVec3], channels: std::ops::Range<usize>, judges: bool) -> f64 {
+        let all = &self.receivers.all;
+        let (mut sum, mut n, mut plausible) = (0.0, 0.0, 0.0);
+        let count = channels.len() as f64;
+        for c in channels {
+            let mut albedo = vec![0.3; self.receivers.clusters];
+            for round in 0..REWEIGHTED {
+                let mut sums = vec![(0.0, 0.0); albedo.len()];
+                for (i, r) in all.iter().enumerate().filter(|(_, r)| !r.judge) {
+                    let (l, s) = (light[i][c], self.scales[i][c]);
+                    let off = self.off(i, albedo[r.cluster] * l, c);
+                    if r.clipped && off == 0.0 && round > 0 {
+                        continue;
+                    }
+                    let weight = if round == 0 { 1.0 } else { HUBER / off.max(HUBER) } / (s * s);
+                    sums[r.cluster].0 += weight * l * r.radiance[c];
+                    sums[r.cluster].1 += weight * l * l;
+                }
+                for (a, (xy, xx)) in albedo.iter_mut().zip(&sums) {
+                    if *xx > 0.0 {
+                        *a = (xy / xx).clamp(ALBEDO.0, ALBEDO.1);
                     }
                 }
-                albedo
-            })
-            .collect()
-    }
-
-    /// Mean Huber loss of the judging points' relative errors, as a root.
-    pub(super) fn residual(&self, albedo: &[DVec3], radiance: &[DVec3]) -> f64 {
-        let (mut sum, mut n) = (0.0, 0.0);
-        for i in (0..self.known.len()).filter(|&i| self.judge[i]) {
-            let predicted = albedo[self.cluster[i]] * self.light(i, radiance);
-            for c in 0..3 {
-                let off = (predicted[c] - self.radiance[i][c]).abs() / self.scale(i)[c];
+            }
+            // How dark or bright the paint is cannot be told from uniform light; implausible paint costs a little.
+            let paint = albedo.iter().map(|a| (a / PLAIN).ln().powi(2)).sum::<f64>() / albedo.len() as f64;
+            plausible += self.prior * PAINT_PRIOR * if judges { 0.0 } else { paint };
+            for (i, r) in all.iter().enumerate().filter(|(_, r)| r.judge == judges) {
+                let off = self.off(i, albedo[r.cluster] * light[i][c], c);
                 sum += if off <= HUBER { off * off } else { HUBER * (2.0 * off - HUBER) };
                 n += 1.0;
             }
         }
-        if n > 0.0 { f64::sqrt(sum / n) } else { 0.0 }
+        if n > 0.0 { sum / n + plausible / count } else { 0.0 }
     }
 
-    /// What an error is measured against: the point's own radiance, but not less than a tenth of the mean.
-    fn scale(&self, i: usize) -> DVec3 {
-        let mean = self.radiance.iter().sum::<DVec3>() / self.radiance.len() as f64;
-        self.radiance[i].max(0.1 * mean).max(DVec3::splat(1e-6))
+    /// Relative error of a prediction; brighter than a clipped point is no error.
+    fn off(&self, i: usize, predicted: f64, c: usize) -> f64 {
+        let r = &self.receivers.all[i];
+        let off = (predicted - r.radiance[c]) / self.scales[i][c];
+        if r.clipped { (-off).max(0.0) } else { off.abs() }
     }
 
-    /// Radiance and albedo, from a prior.
-    pub(super) fn solve(&self, prior: &[DVec3]) -> Solution {
-        let channels: Vec<(Vec<f64>, Vec<f64>)> = (0..3)
-            .into_par_iter()
-            .map(|c| {
-                let prior: Vec<f64> = prior.iter().map(|v| v[c]).collect();
-                self.solve_channel(c, &prior)
-            })
-            .collect();
-        let gather = |k: usize, of: fn(&(Vec<f64>, Vec<f64>)) -> &Vec<f64>| {
-            DVec3::new(of(&channels[0])[k], of(&channels[1])[k], of(&channels[2])[k])
+    /// The best irradiance of one more source, of the given colour, and the loss with it.
+    pub(super) fn best_irradiance(&self, light: &[DVec3], source: &Source, color: DVec3) -> (f64, f64) {
+        let mean = self.mean_irradiance(light).element_sum() / 3.0;
+        let with = |e: f64| -> f64 {
+            let light: Vec<DVec3> =
+                light.iter().zip(&source.gain).map(|(l, g)| *l + color * (e * g)).collect();
+            // One channel stands for all while directions are compared.
+            self.loss(&light, 1..2, false)
         };
-        Solution {
-            radiance: (0..prior.len()).map(|k| gather(k, |c| &c.0)).collect(),
-            albedo: (0..self.clusters).map(|k| gather(k, |c| &c.1)).collect(),
+        let mut best = (0.0, self.loss(light, 1..2, false));
+        for k in 0..TRIED {
+            let e = WEAKEST * mean * STEP.powi(k);
+            let loss = with(e);
+            if loss < best.1 {
+                best = (e, loss);
+            }
         }
+        best
     }
 
-    fn solve_channel(&self, c: usize, prior: &[f64]) -> (Vec<f64>, Vec<f64>) {
-        let points: Vec<usize> = (0..self.known.len()).filter(|&i| !self.judge[i]).collect();
-        let all: Vec<DVec3> = prior.iter().map(|v| DVec3::splat(*v)).collect();
-        let mut albedo: Vec<f64> = self.fit_albedo(&all).iter().map(|a| a[c]).collect();
-        let mut e = prior.to_vec();
-        let scales: Vec<f64> = points.iter().map(|&i| self.scale(i)[c]).collect();
-        let mut light: Vec<f64> = points
-            .iter()
-            .map(|&i| self.known[i][c] + self.gains[i].iter().zip(&e).map(|(g, e)| g * e).sum::<f64>())
-            .collect();
-        // A bin's prior is as wide as the mean radiance reflected, so that dark and bright scenes are alike.
-        let width = {
-            let mean = self.radiance.iter().map(|r| r[c]).sum::<f64>() / self.radiance.len() as f64;
-            prior.iter().map(|m| m.max(mean) * 3.0).collect::<Vec<f64>>()
-        };
-        for _ in 0..ROUNDS {
-            let weights: Vec<f64> = points
-                .iter()
-                .enumerate()
-                .map(|(row, &i)| {
-                    let off =
-                        (albedo[self.cluster[i]] * light[row] - self.radiance[i][c]).abs() / scales[row];
-                    (HUBER / off.max(HUBER)) / scales[row].powi(2)
-                })
-                .collect();
-            for _ in 0..SWEEPS {
-                for k in 0..e.len() {
-                    let stiff = self.prior * self.stiffness[k] * HUBER / width[k].powi(2);
-                    let (mut slope, mut curve) = (stiff * (e[k] - prior[k]), stiff);
-                    for (row, &i) in points.iter().enumerate() {
-                        let g = self.gains[i][k];
-                        if g > 0.0 {
-                            let a = albedo[self.cluster[i]] * g;
-                            slope += weights[row]
-                                * a
-                                * (albedo[self.cluster[i]] * light[row] - self.radiance[i][c]);
-                            curve += weights[row] * a * a;
-                        }
-                    }
-                    let next = (e[k] - slope / curve).max(0.0);
-                    let change = next - e[k];
-                    if change != 0.0 {
-                        e[k] = next;
-                        for (row, &i) in points.iter().enumerate() {
-                            light[row] += self.gains[i][k] * change;
+    /// Scale of the rest and irradiances of the sources, channel by channel: coordinate search from where they are.
+    pub(super) fn polish(&self, scale: &mut DVec3, sources: &mut [Source]) {
+        for c in 0..3 {
+            let mut step = 0.5;
+            while step > 0.01 {
+                let mut moved = false;
+                for k in 0..=2 * sources.len() {
+                    for factor in [1.0 + step, 1.0 / (1.0 + step)] {
+                        let now = self.cost(*scale, sources, c);
+                        let value = knob(scale, sources, k, c);
+                        let keep = *value;
+                        *value = (keep * factor).max(1e-3);
+                        if self.cost(*scale, sources, c) < now * (1.0 - 1e-6) {
+                            moved = true;
+                        } else {
+                            *knob(scale, sources, k, c) = keep;
                         }
                     }
                 }
-            }
-            // Albedo by weighted least squares, held towards what a plain surface has when nothing says otherwise.
-            let mut sums = vec![(0.0, 0.0); self.clusters];
-            for (row, &i) in points.iter().enumerate() {
-                let s = &mut sums[self.cluster[i]];
-                s.0 += weights[row] * light[row] * self.radiance[i][c];
-                s.1 += weights[row] * light[row] * light[row];
-            }
-            for (a, (xy, xx)) in albedo.iter_mut().zip(&sums) {
-                if *xx > 0.0 {
-                    *a = (xy / xx).clamp(0.01, WHITEST);
+                if !moved {
+                    step *= 0.5;
                 }
             }
         }
-        (e, albedo)
+    }
+
+    fn cost(&self, scale: DVec3, sources: &[Source], c: usize) -> f64 {
+        let mut prior = self.prior * SCALE_PRIOR * scale[c].max(1e-6).ln().powi(2);
+        for source in sources {
+            prior += self.prior * NEAR_PRIOR * source.near_scale[c].max(1e-6).ln().powi(2);
+        }
+        self.loss(&self.light(scale, sources), c..c + 1, false) + prior
+    }
+}
+
+/// The scale, then each source's irradiance and the scale of what surrounds it.
+fn knob<'v>(scale: &'v mut DVec3, sources: &'v mut [Source], k: usize, c: usize) -> &'v mut f64 {
+    match k {
+        0 => &mut scale[c],
+        _ if k % 2 == 1 => &mut sources[(k - 1) / 2].irradiance[c],
+        _ => &mut sources[(k - 1) / 2].near_scale[c],
     }
 }

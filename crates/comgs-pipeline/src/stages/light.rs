@@ -8,6 +8,7 @@ use crate::source::extension;
 use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, source};
 use comgs_image::transfer::linear_from_srgb;
 use comgs_image::{Image, write_exr, write_hdr, write_png};
+use comgs_panorama::evidence::{self, refine};
 use comgs_panorama::{SweepConfig, sweep};
 use comgs_scene::AssetKind;
 use comgs_trace::{TraceConfig, Tracer};
@@ -39,6 +40,8 @@ pub struct Config {
     pub completion: Fill,
     /// How a learned model is run.
     pub model: ModelConfig,
+    /// Whether the scene's own lit surfaces are asked for strong lights and the scale of what was completed.
+    pub evidence: bool,
     /// Height of the map in texels; it is twice as wide.
     pub height: usize,
     /// Rays a texel along each side.
@@ -55,6 +58,7 @@ impl Config {
             at: at.to_array(),
             completion: Fill::default(),
             model: ModelConfig::shipped(),
+            evidence: false,
             height: 128,
             samples: 2,
             near: 0.0,
@@ -172,7 +176,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     }
     let started = std::time::Instant::now();
     let completed = completers::complete(&partial, config.completion, &config.model, &mut run, context);
-    let completed = completed.map_err(|e| match e {
+    let mut completed = completed.map_err(|e| match e {
         PipelineError::Panorama(comgs_panorama::CompletionError::NothingSeen { .. }) => {
             let at = config.at.map(|v| format!("{v:.3}")).join(", ");
             PipelineError::input(
@@ -184,6 +188,18 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         other => other,
     })?;
     run.add_time("complete", started.elapsed().as_secs_f64(), false);
+    context.check()?;
+    let evidence = if config.evidence && config.completion != Fill::None {
+        let centre = DVec3::from_array(config.at).as_vec3();
+        let settings = evidence::Config { seed: config.model.seed, clip, ..evidence::Config::default() };
+        let found = run.time("evidence", || {
+            Ok::<_, PipelineError>(refine(&tracer, &seen, centre, &partial, &completed.image, &settings))
+        })?;
+        completed.image = found.environment.clone();
+        Some(found)
+    } else {
+        None
+    };
     run.invalidate()?;
     run.time("save", || save(input, &pictures, &completed.image, &seen.rgb, &seen.alpha))?;
     for path in [&input.output, &pictures.environment, &pictures.sweep, &pictures.alpha] {
@@ -200,16 +216,42 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         "clipped": partial.clipped.as_ref().map(|c| f64::from(comgs_panorama::sweep::coverage(c))),
         "size": [2 * height, height],
         "completer": completed.by,
+        "evidence": evidence.as_ref().map(|e| json!({
+            "used": e.used,
+            "points": e.points,
+            "directions": e.directions,
+            "loss_before_and_after": e.loss,
+            "scale": e.scale,
+            "lights": e.lights.iter().map(|l| json!({
+                "direction": l.direction.to_array(), "irradiance": l.irradiance,
+            })).collect::<Vec<_>>(),
+        })),
         "runtime": completed.runtime,
     }));
     let record = run.finish()?;
     context.progress.end(&format!(
-        "{}: {:.0} % of the sphere was seen, the rest is filled by {}",
+        "{}: {:.0} % of the sphere was seen, the rest is filled by {}{}",
         input.output.display(),
         100.0 * coverage,
-        completed.by
+        completed.by,
+        evidence.as_ref().map_or_else(String::new, said)
     ));
     Ok(Output { environment: input.output.clone(), pictures, coverage, reused: false, record })
+}
+
+/// What the scene told of its light, for the log.
+fn said(evidence: &evidence::Evidence) -> String {
+    match (evidence.used, evidence.lights.first()) {
+        (true, Some(light)) => {
+            let height = light.direction.z.clamp(-1.0, 1.0).asin().to_degrees();
+            format!(
+                ", with {} strong light(s) that the scene's surfaces tell of (the first {height:.0}° over the horizon)",
+                evidence.lights.len()
+            )
+        }
+        (true, None) => ", scaled to what the scene's surfaces tell".into(),
+        (false, _) => String::new(),
+    }
 }
 
 fn save(
