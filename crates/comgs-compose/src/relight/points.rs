@@ -1,6 +1,7 @@
 //! Shading points of a G-buffer.
 
 use comgs_geom::Camera;
+use comgs_image::Image;
 use comgs_light::Material;
 use comgs_raster::Frame;
 use glam::Vec3;
@@ -23,10 +24,10 @@ pub struct Point {
 
 /// The points of a G-buffer with depth, normals and material, row by row, with their pixels: one where the weight is
 /// above [`MIN_WEIGHT`] and there is a normal. Depth (unbiased, ComGS § 3.1) and material are the planes over the
-/// weight.
+/// weight; `normals` are those of the surface ([`comgs_raster::surface_normals`]).
 #[must_use]
-pub fn points(frame: &Frame, camera: &Camera) -> Vec<(u32, Point)> {
-    let (Some(depth), Some(normal), Some(material)) = (&frame.depth, &frame.normal, &frame.material) else {
+pub fn points(frame: &Frame, camera: &Camera, normals: Option<&Image>) -> Vec<(u32, Point)> {
+    let (Some(depth), Some(normal), Some(material)) = (&frame.depth, normals, &frame.material) else {
         return Vec::new();
     };
     let width = frame.weight.width;

@@ -3,7 +3,7 @@
 use super::shade::{Point, PointGradient};
 use comgs_geom::Camera;
 use comgs_light::brdf::Material;
-use comgs_raster::{Frame, FrameGradient};
+use comgs_raster::{Frame, FrameGradient, surface_normals};
 use glam::Vec3;
 
 /// Weight of a pixel below which it is not shaded: there is no depth to speak of.
@@ -11,8 +11,8 @@ const MIN_WEIGHT: f32 = 0.05;
 /// Least cosine between the shading normal and the view.
 const LEAST_FACING: f32 = 0.02;
 
-/// Unit normal to shade with: the blended normal N at unit length, bent towards the eye where it faces away from it or
-/// nearly so (hard case 27), as it does along silhouettes: `n′ = n + max(0, ε − n·v) v`, normalised. `None` for a zero
+/// Unit normal to shade with: the surface's ([`surface_normals`]) at unit length, bent towards the eye where it faces away from
+/// it or nearly so (hard case 27), as it does along silhouettes: `n′ = n + max(0, ε − n·v) v`, normalised. `None` for a zero
 /// normal. Gradient: [`shading_normal_vjp`]; it kinks where the bend begins.
 fn shading_normal(sum: Vec3, view: Vec3) -> Option<Vec3> {
     let n = sum.try_normalize()?;
@@ -37,9 +37,12 @@ fn shading_normal_vjp(sum: Vec3, view: Vec3, grad: Vec3) -> Vec3 {
 }
 
 /// Shading points of a G-buffer, one a pixel that has a surface (weight above 0.05 and a normal towards the eye); their
-/// pixels are returned. Material and depth are the planes over the weight (ComGS §3.1: unbiased), normals at unit length.
+/// pixels are returned. Material and depth are the planes over the weight (ComGS §3.1: unbiased), normals those of the surface
+/// that the depths show ([`surface_normals`]).
 pub fn shading_points(frame: &Frame, camera: &Camera, points: &mut Vec<Point>) -> Vec<u32> {
-    let (Some(depth), Some(normal), Some(material)) = (&frame.depth, &frame.normal, &frame.material) else {
+    let (Some(depth), Some(normal), Some(material)) =
+        (&frame.depth, surface_normals(frame, camera), &frame.material)
+    else {
         return Vec::new();
     };
     let mut pixels = Vec::new();
@@ -69,7 +72,8 @@ pub fn shading_points(frame: &Frame, camera: &Camera, points: &mut Vec<Point>) -
     pixels
 }
 
-/// Carries gradients of shading points to the premultiplied planes: `m = M/W`, and n by [`shading_normal`].
+/// Carries gradients of shading points to the premultiplied planes: `m = M/W`; that of the normal goes to the blended normal
+/// N/|N| as if it were the surface's, to which the depth-normal term (Eq. 3) binds it.
 pub(super) fn plane_gradients(
     frame: &Frame,
     pixels: &[u32],
