@@ -36,7 +36,7 @@ use comgs_geom::Camera;
 use comgs_image::Image;
 use comgs_light::{EnvironmentMap, EnvironmentSampler};
 use comgs_probe::{BakeObserver, ProbeError, ProbeSet};
-use comgs_raster::{Frame, Planes};
+use comgs_raster::{Frame, Planes, surface_normals};
 use comgs_surfel::{MaterialColumns, SurfelCloud};
 use comgs_trace::{TraceConfig, Tracer};
 use light_sets::LightSets;
@@ -158,7 +158,8 @@ impl<'a> Relighter<'a> {
     #[must_use]
     pub fn shade(&self, camera: &Camera, frame: &Frame) -> RelitFrame {
         let start = Instant::now();
-        let lit: Vec<(u32, Lit, f32)> = points::points(frame, camera)
+        let normals = surface_normals(frame, camera);
+        let lit: Vec<(u32, Lit, f32)> = points::points(frame, camera, normals.as_ref())
             .into_par_iter()
             .with_min_len(CHUNK)
             .map_init(
@@ -169,7 +170,7 @@ impl<'a> Relighter<'a> {
                 },
             )
             .collect();
-        let mut out = RelitFrame::assemble(frame, &lit, self.config.layers);
+        let mut out = RelitFrame::assemble(frame, normals.as_ref(), &lit, self.config.layers);
         out.stats.shade_s = start.elapsed().as_secs_f64();
         out
     }

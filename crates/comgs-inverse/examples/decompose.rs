@@ -9,7 +9,7 @@ use comgs_inverse::decompose::{self, DecomposeConfig, shading_points};
 use comgs_inverse::{Decomposed, Observer, TrainStatus, TrainView};
 use comgs_light::{EnvironmentMap, OctahedralLight};
 use comgs_probe::LookupConfig;
-use comgs_raster::{Planes, RasterConfig, render};
+use comgs_raster::{Planes, RasterConfig, render, surface_normals};
 use comgs_scene::{Asset, Capture, LoadOptions, Split, View};
 use glam::Vec3;
 use std::path::Path;
@@ -137,7 +137,7 @@ fn main() {
         let truth = plane("albedo", name).expect("albedo");
         let n_true = plane("normal", name).expect("normal");
         let (r_true, m_true) = (plane("roughness", name).expect("r"), plane("metallic", name).expect("m"));
-        let normal = frame.normal.as_ref().expect("normals");
+        let normal = surface_normals(&frame, &view.camera).expect("normals");
         for i in 0..mask.data.len() {
             if mask.data[i] < 0.99 || frame.weight.data[i] < 0.5 {
                 continue;

@@ -4,7 +4,7 @@
 
 use comgs_image::{Image, write_png};
 use comgs_inverse::{Kind, Observer, Quality, TrainConfig, TrainStatus, TrainView, train};
-use comgs_raster::{Planes, RasterConfig, render};
+use comgs_raster::{Planes, RasterConfig, render, surface_normals};
 use comgs_scene::{Capture, LoadOptions, Split, View};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -72,7 +72,7 @@ fn main() {
         sum += comgs_metrics::psnr_srgb(color, &truth, None).expect("sizes").db;
         ssim += comgs_metrics::ssim(color, &truth, comgs_metrics::Border::Valid, None).expect("sizes").mean;
         count += 1.0;
-        let normal = frame.normal.as_ref().expect("normals");
+        let normal = surface_normals(&frame, &view.camera).expect("geometry planes");
         let shown = normal.map(|v| (0.5 * v + 0.5).clamp(0.0, 1.0).powf(2.2));
         let mut both = Image::zeros(3 * color.width, color.height, 3);
         for y in 0..color.height {

@@ -259,6 +259,15 @@ impl Shading {
         (self.normal.dot(light) > 0.0).then_some(light)
     }
 
+    /// [`Shading::sample`] from two numbers: the first chooses the lobe and, stretched, the place in it, so that a
+    /// low-discrepancy set stays one within each lobe. Density: [`Shading::pdf`].
+    #[inline]
+    #[must_use]
+    pub fn sample_stretched(&self, u: Vec2) -> Option<Vec3> {
+        let x = if u.x < self.chance { u.x / self.chance } else { (u.x - self.chance) / (1.0 - self.chance) };
+        self.sample(u.x, Vec2::new(x.min(1.0 - f32::EPSILON / 2.0), u.y))
+    }
+
     /// Density per steradian of [`Shading::sample`] in the unit direction `light`; 0 below the horizon and where the
     /// view is below it. Integrates to the share of samples that are not `None`.
     #[inline]

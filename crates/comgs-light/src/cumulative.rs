@@ -42,6 +42,13 @@ impl Cumulative {
         (out, totals)
     }
 
+    /// Share of an item in its table.
+    #[inline]
+    pub(crate) fn share(&self, table: usize, item: usize) -> f64 {
+        let at = table * (self.items + 1) + item;
+        self.shares[at + 1] - self.shares[at]
+    }
+
     /// Item that `u` in [0, 1) falls to, never one without mass, and where in it, in [0, 1].
     #[inline]
     pub(crate) fn invert(&self, table: usize, u: f32) -> (usize, f64) {

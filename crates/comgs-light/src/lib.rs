@@ -17,6 +17,7 @@
 pub mod brdf;
 mod cumulative;
 pub mod environment;
+pub mod facing;
 pub mod light_pyramid;
 pub mod octahedral_light;
 pub mod octahedral_sampler;
@@ -24,6 +25,7 @@ pub mod sampler;
 
 pub use brdf::{Material, MaterialGradient, Shading};
 pub use environment::{EnvError, EnvReport, EnvironmentMap};
+pub use facing::{facing_normal, facing_normal_vjp};
 pub use light_pyramid::LightPyramid;
 pub use octahedral_light::{OctahedralError, OctahedralLight};
 pub use octahedral_sampler::{Importance, OctahedralSampler};

@@ -1,5 +1,6 @@
 //! Importance sampling of an environment map.
 
+use crate::cumulative::Cumulative;
 use crate::{EnvironmentMap, luminance};
 use comgs_geom::{equirect, frame, sampling};
 use glam::{Vec2, Vec3};
@@ -32,10 +33,10 @@ pub struct EnvSample {
 #[derive(Clone, Debug)]
 pub struct EnvironmentSampler {
     map: EnvironmentMap,
-    /// Cumulative shares of the rows, `height + 1` values from 0 to 1.
-    rows: Vec<f64>,
-    /// Cumulative shares of the texels of each row, `height` times `width + 1` values.
-    columns: Vec<f64>,
+    /// One table, of the rows.
+    rows: Cumulative,
+    /// A table a row, of its texels.
+    columns: Cumulative,
     black: bool,
 }
 
@@ -45,22 +46,13 @@ impl EnvironmentSampler {
     pub fn new(map: &EnvironmentMap) -> Self {
         let (w, h) = (map.width(), map.height());
         let black = map.is_black();
-        let mut rows = Vec::with_capacity(h + 1);
-        let mut columns = Vec::with_capacity((w + 1) * h);
-        rows.push(0.0);
-        for row in 0..h {
-            let omega = f64::from(equirect::texel_solid_angle(row, w, h));
-            let start = columns.len();
-            let mut sum = 0.0f64;
-            columns.push(0.0);
-            for column in 0..w {
-                sum += if black { 1.0 } else { f64::from(luminance(map.texel(column, row))) };
-                columns.push(sum);
-            }
-            normalise(&mut columns[start..]);
-            rows.push(rows[row] + omega * sum);
+        let mass = |i: usize| if black { 1.0 } else { f64::from(luminance(map.texel(i % w, i / w))) };
+        let masses: Vec<f64> = (0..w * h).map(mass).collect();
+        let (columns, mut sums) = Cumulative::new(&masses, w);
+        for (row, sum) in sums.iter_mut().enumerate() {
+            *sum *= f64::from(equirect::texel_solid_angle(row, w, h));
         }
-        normalise(&mut rows);
+        let (rows, _) = Cumulative::new(&sums, h);
         Self { map: map.clone(), rows, columns, black }
     }
 
@@ -80,8 +72,8 @@ impl EnvironmentSampler {
     #[must_use]
     pub fn sample(&self, u: Vec2) -> EnvSample {
         let (w, h) = (self.map.width(), self.map.height());
-        let (row, inside_row) = invert(&self.rows, u.y);
-        let (column, inside_column) = invert(self.columns_of(row), u.x);
+        let (row, inside_row) = self.rows.invert(0, u.y);
+        let (column, inside_column) = self.columns.invert(row, u.x);
         // Uniform by solid angle: linear in the cosine of the polar angle.
         let polar = |edge: usize| (std::f64::consts::PI * edge as f64 / h as f64).cos();
         let z = polar(row) + inside_row * (polar(row + 1) - polar(row));
@@ -140,36 +132,11 @@ impl EnvironmentSampler {
         cosine_share * cosine + (1.0 - cosine_share) * self.pdf(direction)
     }
 
-    fn columns_of(&self, row: usize) -> &[f64] {
-        let stride = self.map.width() + 1;
-        &self.columns[row * stride..(row + 1) * stride]
-    }
-
     fn texel_pdf(&self, column: usize, row: usize) -> f32 {
         if self.black {
             return 1.0 / (4.0 * PI);
         }
-        let columns = self.columns_of(row);
-        let share = (self.rows[row + 1] - self.rows[row]) * (columns[column + 1] - columns[column]);
+        let share = self.rows.share(0, row) * self.columns.share(row, column);
         (share / f64::from(equirect::texel_solid_angle(row, self.map.width(), self.map.height()))) as f32
     }
-}
-
-/// Scales a cumulative table to end at exactly 1; a table of zeros becomes uniform.
-fn normalise(cumulative: &mut [f64]) {
-    let last = cumulative.len() - 1;
-    let total = cumulative[last];
-    for (i, value) in cumulative.iter_mut().enumerate() {
-        *value = if total > 0.0 { *value / total } else { i as f64 / last as f64 };
-    }
-    cumulative[last] = 1.0;
-}
-
-/// Interval of a cumulative table that `u` in [0, 1) falls into, never an empty one, and where in it, in [0, 1].
-fn invert(cumulative: &[f64], u: f32) -> (usize, f64) {
-    let u = f64::from(u);
-    let i = cumulative.partition_point(|&c| c <= u).clamp(1, cumulative.len() - 1) - 1;
-    let width = cumulative[i + 1] - cumulative[i];
-    // A share too small to be seen beside its cumulative sum cannot be chosen: `u` is below the next value.
-    (i, if width > 0.0 { ((u - cumulative[i]) / width).clamp(0.0, 1.0) } else { 0.5 })
 }

@@ -29,12 +29,14 @@ impl Planes {
 pub enum LowPass {
     /// None: a surfel between pixel centres disappears.
     Off,
-    /// ρ = min(ρ₃, |x − x_c|² / σ²) with σ in pixels (2DGS §4.3 has σ = √½). Where the filter wins, the
-    /// depth is the centre's.
+    /// ρ = min(ρ₃, |x − x_c|² / σ²) with σ in pixels. Where the filter wins, the depth is the centre's. 2DGS §4.3 has
+    /// σ = √½, which draws the edge-on discs of a silhouette one to two pixels too wide; photos do not show these, so training sinks the
+    /// whole surface and bends its normals. The default of 0.3 leaves a surfel between four pixel centres a response of 6 % and
+    /// so a gradient; on the captured cow at 1,000 steps it gives 4.8° instead of 6.6° (blended normals) and 35.7 instead of 34.8 dB.
     Sigma(f32),
 }
 
-/// Thresholds of the blend. [`RasterConfig::default`] has the values of 2DGS.
+/// Thresholds of the blend. [`RasterConfig::default`] has the values of 2DGS but for the narrower [`LowPass`].
 #[derive(Clone, Copy, Debug)]
 pub struct RasterConfig {
     /// Nearest z-depth that is drawn, world units, > 0.
@@ -58,7 +60,7 @@ impl Default for RasterConfig {
             alpha_min: 1.0 / 255.0,
             alpha_max: 0.99,
             transmittance_min: 1e-4,
-            low_pass: LowPass::Sigma(std::f32::consts::FRAC_1_SQRT_2),
+            low_pass: LowPass::Sigma(0.3),
             level: Level::new(),
         }
     }

@@ -39,7 +39,9 @@ pub mod project;
 pub mod reference;
 pub mod render;
 mod simd;
+pub mod surface;
 
 pub use config::{LowPass, Planes, RasterConfig};
 pub use frame::{Frame, FrameGradient};
 pub use render::{SurfelGradients, Workspace, backward, forward, render};
+pub use surface::surface_normals;

@@ -32,7 +32,7 @@ pub struct RelitLayers {
     pub visibility: Image,
     /// Unbiased z-depth, world units, 1 channel.
     pub depth: Image,
-    /// World space, unit, 3 channels.
+    /// World space, unit, 3 channels: what was shaded with ([`comgs_raster::surface_normals`]).
     pub normal: Image,
     /// Linear base colour, 3 channels.
     pub albedo: Image,
@@ -73,7 +73,12 @@ impl RelitFrame {
     }
 
     /// Puts shaded points at their pixels.
-    pub(super) fn assemble(frame: &Frame, lit: &[(u32, Lit, f32)], layers: bool) -> Self {
+    pub(super) fn assemble(
+        frame: &Frame,
+        normals: Option<&Image>,
+        lit: &[(u32, Lit, f32)],
+        layers: bool,
+    ) -> Self {
         let (width, height) = (frame.weight.width, frame.weight.height);
         let zeros = |channels| Image::zeros(width, height, channels);
         let mut out =
@@ -86,14 +91,14 @@ impl RelitFrame {
             put(&mut out.radiance, i, weight * lit.total());
         }
         if layers {
-            out.layers = Some(RelitLayers::assemble(frame, lit));
+            out.layers = Some(RelitLayers::assemble(frame, normals, lit));
         }
         out
     }
 }
 
 impl RelitLayers {
-    fn assemble(frame: &Frame, lit: &[(u32, Lit, f32)]) -> Self {
+    fn assemble(frame: &Frame, normals: Option<&Image>, lit: &[(u32, Lit, f32)]) -> Self {
         let zeros = |channels| Image::zeros(frame.weight.width, frame.weight.height, channels);
         let mut out = Self {
             diffuse: zeros(3),
@@ -106,8 +111,7 @@ impl RelitLayers {
             roughness: zeros(1),
             metallic: zeros(1),
         };
-        let (Some(depth), Some(normal), Some(material)) = (&frame.depth, &frame.normal, &frame.material)
-        else {
+        let (Some(depth), Some(normal), Some(material)) = (&frame.depth, normals, &frame.material) else {
             return out;
         };
         for &(i, lit, visibility) in lit {

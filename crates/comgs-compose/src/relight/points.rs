@@ -1,7 +1,8 @@
 //! Shading points of a G-buffer.
 
 use comgs_geom::Camera;
-use comgs_light::Material;
+use comgs_image::Image;
+use comgs_light::{Material, facing_normal};
 use comgs_raster::Frame;
 use glam::Vec3;
 
@@ -23,10 +24,11 @@ pub struct Point {
 
 /// The points of a G-buffer with depth, normals and material, row by row, with their pixels: one where the weight is
 /// above [`MIN_WEIGHT`] and there is a normal. Depth (unbiased, ComGS § 3.1) and material are the planes over the
-/// weight.
+/// weight; `normals` are those of the surface ([`comgs_raster::surface_normals`]), turned to the eye
+/// ([`facing_normal`]).
 #[must_use]
-pub fn points(frame: &Frame, camera: &Camera) -> Vec<(u32, Point)> {
-    let (Some(depth), Some(normal), Some(material)) = (&frame.depth, &frame.normal, &frame.material) else {
+pub fn points(frame: &Frame, camera: &Camera, normals: Option<&Image>) -> Vec<(u32, Point)> {
+    let (Some(depth), Some(normal), Some(material)) = (&frame.depth, normals, &frame.material) else {
         return Vec::new();
     };
     let width = frame.weight.width;
@@ -42,6 +44,7 @@ pub fn points(frame: &Frame, camera: &Camera) -> Vec<(u32, Point)> {
             Material { albedo: Vec3::new(mean(0), mean(1), mean(2)), roughness: mean(3), metallic: mean(4) };
         let position = camera.unproject(x, y, f64::from(depth.data[i] / weight)).as_vec3();
         let view = -camera.ray_world(x, y).normalize().as_vec3();
+        let normal = facing_normal(normal, view);
         out.push((i as u32, Point { position, normal, view, material }));
     }
     out

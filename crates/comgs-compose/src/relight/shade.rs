@@ -73,7 +73,9 @@ pub(super) fn shade(
         lit.add(&reflection, scale, sample.radiance, around.look_at_light(sample.direction));
     }
     for s in 0..config.brdf_rays {
-        let Some(direction) = by_lobe(&shading, hammersley(s, config.brdf_rays, by_brdf)) else { continue };
+        let Some(direction) = shading.sample_stretched(hammersley(s, config.brdf_rays, by_brdf)) else {
+            continue;
+        };
         let Some(reflection) = shading.reflect(direction) else { continue };
         let (radiance, pdf) = light.evaluate(direction);
         let scale = scale(config.heuristic, m * shading.pdf(direction), n * pdf);
@@ -90,13 +92,6 @@ fn scale(heuristic: Heuristic, own: f32, other: f32) -> f32 {
         Heuristic::Power => own / (own * own + other * other),
     };
     if own > 0.0 && scale.is_finite() { scale } else { 0.0 }
-}
-
-/// A direction drawn by the BRDF: the first number chooses the lobe and, stretched, the place in it.
-fn by_lobe(shading: &Shading, u: Vec2) -> Option<Vec3> {
-    let chance = shading.specular_chance();
-    let x = if u.x < chance { u.x / chance } else { (u.x - chance) / (1.0 - chance) };
-    shading.sample(u.x, Vec2::new(x.min(1.0 - f32::EPSILON / 2.0), u.y))
 }
 
 /// Irradiance ∫ (1 − O) L cos θ dω of a surface with a unit normal, `around` being there: samples by the light

@@ -5,7 +5,7 @@
 //! more, because its reflectance at normal incidence is 4 % whatever the albedo, and outweighs the prior. In the end
 //! an explicit factor or a grey card fixes the scale exactly ([`rescale`]).
 
-use comgs_geom::octahedral::texel_solid_angle;
+use comgs_geom::octahedral;
 use comgs_light::{OctahedralLight, luminance};
 use comgs_surfel::MaterialColumns;
 use comgs_surfel::activation::{logit, sigmoid};
@@ -31,11 +31,12 @@ pub fn albedo_prior(mean: f32, goal: f32, weight: f32) -> (f32, f32) {
 /// Luminance weights, as [`comgs_light::luminance`] has them.
 pub const LUMINANCE: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
 
-/// Share of the sphere of every texel of an octahedral map, for [`neutral_prior`].
+/// Share of the sphere of every texel of an octahedral map, for [`neutral_prior`]: its solid angle
+/// ([`octahedral::solid_angles`]) over 4π. This is where a texel lies, not what it weighs in an interpolated light; that is
+/// [`OctahedralLight::integral`]'s business.
 #[must_use]
 pub fn texel_shares(size: usize) -> Vec<f32> {
-    let share = |i: usize| texel_solid_angle(i % size, i / size, size) / (4.0 * std::f32::consts::PI);
-    (0..size * size).map(share).collect()
+    octahedral::solid_angles(size).iter().map(|angle| angle / (4.0 * std::f32::consts::PI)).collect()
 }
 
 /// Prior on the light: `w Σ_c (ln m_c − mean_c ln m_c)²`, m the mean radiance over the sphere by the texels' `shares`.

@@ -180,7 +180,7 @@ fn shade_point(
             (p.direction, p.pdf, p.radiance)
         } else {
             let u = sampling::hammersley(s - by_light, by_brdf, shift);
-            let Some(direction) = by_lobe(&shading, u) else { continue };
+            let Some(direction) = shading.sample_stretched(u) else { continue };
             (direction, lighting.proposal.pdf(direction), lighting.light.radiance(direction))
         };
         let Some(reflection) = shading.reflect(direction) else { continue };
@@ -210,14 +210,6 @@ fn shade_point(
         count += 1;
     }
     (sum, count)
-}
-
-/// A direction drawn by the BRDF: the first number chooses the lobe and, stretched, the place in it.
-#[inline(always)]
-fn by_lobe(shading: &Shading, u: Vec2) -> Option<Vec3> {
-    let chance = shading.specular_chance();
-    let x = if u.x < chance { u.x / chance } else { (u.x - chance) / (1.0 - chance) };
-    shading.sample(u.x, Vec2::new(x.min(1.0 - f32::EPSILON / 2.0), u.y))
 }
 
 /// Samples that the light proposes, of `rays`.

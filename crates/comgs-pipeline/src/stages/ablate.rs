@@ -243,7 +243,7 @@ impl Truth {
             let Some(material) = &frame.material else { continue };
             albedos.push(material.select(&[0, 1, 2]));
             if let Some(truth) = &view.normal {
-                let unit = super::render::unit_normals(&frame);
+                let unit = super::render::unit_normals(&frame, &view.camera);
                 angle += normal_error(&unit, truth, Some(&view.mask)).map_err(failed)?.mean_deg;
                 normals += 1;
             }

@@ -4,7 +4,7 @@ use super::reconstruct::{Resume, Watcher, add_capture, load, read_checkpoint, tr
 use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, record, source};
 use comgs_image::{Image, encode_exr, write_png};
 use comgs_inverse::{AlbedoScale, DecomposeConfig, Decomposed, Quality, TrainError, TrainView};
-use comgs_raster::Planes;
+use comgs_raster::{Planes, surface_normals};
 use comgs_scene::{Asset, AssetKind, Capture, Split};
 use comgs_surfel::{PlyStyle, SurfelCloud, ply};
 use serde::Serialize;
@@ -284,7 +284,9 @@ fn picture(made: &Decomposed, asset: &Asset, view: &TrainView) -> Image {
     let frame = comgs_raster::render(&made.cloud, &view.camera, Planes::ALL, &source::raster_config(asset));
     let (w, h) = (view.camera.width, view.camera.height);
     let mut out = Image::zeros(4 * w, h, 3);
-    let (Some(material), Some(normal)) = (&frame.material, &frame.normal) else { return out };
+    let (Some(material), Some(normal)) = (&frame.material, surface_normals(&frame, &view.camera)) else {
+        return out;
+    };
     for y in 0..h {
         for x in 0..w {
             let mask = view.mask.as_ref().map_or(1.0, |m| m.pixel(x, y)[0]);

@@ -4,7 +4,7 @@ use crate::stages::frames;
 use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, Status, source};
 use comgs_geom::Camera;
 use comgs_image::{Image, Layer, write_layers, write_png};
-use comgs_raster::{Frame, Planes};
+use comgs_raster::{Frame, Planes, surface_normals};
 use comgs_scene::{Asset, AssetKind};
 use serde::Serialize;
 use serde_json::json;
@@ -77,7 +77,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         run.output(&path)?;
         if config.layers {
             let path = input.output.join("layers").join(format!("{}.exr", camera.name));
-            write_frame(&path, &frame)?;
+            write_frame(&path, &frame, camera)?;
             run.output(&path)?;
         }
     }
@@ -101,10 +101,10 @@ pub(crate) fn color(frame: &Frame) -> &Image {
 }
 
 /// Writes the planes of a rendering as one multilayer EXR: beauty RGBA (premultiplied), depth Z (unbiased, 0 where
-/// nothing), normal XYZ (unit), and albedo, roughness, metallic where there is material.
-fn write_frame(path: &Path, frame: &Frame) -> Result<(), PipelineError> {
+/// nothing), normal XYZ (unit, of the surface that the depths show), and albedo, roughness, metallic where there is material.
+fn write_frame(path: &Path, frame: &Frame, camera: &Camera) -> Result<(), PipelineError> {
     let depth = frame.unbiased_depth(f32::MIN_POSITIVE);
-    let normal = unit_normals(frame);
+    let normal = unit_normals(frame, camera);
     let half = |name, channels, image| Layer { name, channels, image, full_float: false };
     let mut layers = vec![
         half("", &["R", "G", "B"], color(frame)),
@@ -118,13 +118,7 @@ fn write_frame(path: &Path, frame: &Frame) -> Result<(), PipelineError> {
     Ok(write_layers(path, &layers)?)
 }
 
-/// Accumulated normals at unit length; zero where there is nothing.
-pub(crate) fn unit_normals(frame: &Frame) -> Image {
-    let Some(normal) = &frame.normal else { return Image::zeros(frame.weight.width, frame.weight.height, 3) };
-    let mut out = normal.clone();
-    for n in out.data.chunks_exact_mut(3) {
-        let unit = glam::Vec3::from_slice(n).normalize_or_zero();
-        n.copy_from_slice(&unit.to_array());
-    }
-    out
+/// Unit normals of the surface that a frame shows, zero where there is nothing.
+pub(crate) fn unit_normals(frame: &Frame, camera: &Camera) -> Image {
+    surface_normals(frame, camera).unwrap_or_else(|| Image::zeros(frame.weight.width, frame.weight.height, 3))
 }

@@ -115,7 +115,8 @@ fn compare(frame: &Frame, view: &View, record: &ViewRecord) -> Result<Vec<Option
     };
     let mask = view.alpha.as_ref();
     let normal = match plane(record, "normal", &view.camera)? {
-        Some(truth) => optional(normal_error(&render::unit_normals(frame), &truth, mask)).map_err(&failed)?,
+        Some(truth) => optional(normal_error(&render::unit_normals(frame, &view.camera), &truth, mask))
+            .map_err(&failed)?,
         None => None,
     };
     let depth = match (plane(record, "depth", &view.camera)?, &frame.depth) {
