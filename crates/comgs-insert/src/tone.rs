@@ -80,8 +80,7 @@ impl Tone {
 
     /// One step of Adam on all four curves (`step` counts from 1); columns in the order of [`CurveGradient::flat`].
     pub fn step(&mut self, adam: &mut Adam, grad: &[f32], rate: f32, step: u32) -> usize {
-        let mut all: Vec<f32> =
-            self.foreground.iter().chain(self.shadow.iter().flatten()).copied().collect();
+        let mut all: Vec<f32> = self.foreground.iter().chain(self.shadow.iter().flatten()).copied().collect();
         let dropped = adam.step(&mut all, grad, rate, step, &AdamConfig::default());
         self.foreground.copy_from_slice(&all[..PARAMETERS]);
         for (c, curve) in self.shadow.iter_mut().enumerate() {

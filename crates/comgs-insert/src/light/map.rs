@@ -61,7 +61,9 @@ impl LightMap {
     /// As an environment map; what is not a radiance (never, for a rasterised light) counts as 0.
     #[must_use]
     pub fn to_environment(&self) -> EnvironmentMap {
-        EnvironmentMap::from_image_repaired(&self.to_image()).expect("twice as wide as high, three channels").0
+        EnvironmentMap::from_image_repaired(&self.to_image())
+            .expect("twice as wide as high, three channels")
+            .0
     }
 
     /// As an image of three channels.

@@ -226,14 +226,16 @@ mod tests {
                 let (x, g) = (f64::from(x), f64::from(g));
                 assert!((reference::spline(&p, x) - f64::from(curve.value(x as f32))).abs() < 1e-5);
                 let d = 1e-6;
-                let difference = g * (reference::spline(&p, x + d) - reference::spline(&p, x - d)) / (2.0 * d);
+                let difference =
+                    g * (reference::spline(&p, x + d) - reference::spline(&p, x - d)) / (2.0 * d);
                 assert!(
                     (difference - f64::from(dx)).abs() < 2e-3 * difference.abs().max(1.0),
                     "round {round} at {x}: {dx} {difference}"
                 );
             }
-            let loss =
-                |p: &[f64]| points.iter().map(|&(x, g)| f64::from(g) * reference::spline(p, f64::from(x))).sum();
+            let loss = |p: &[f64]| {
+                points.iter().map(|&(x, g)| f64::from(g) * reference::spline(p, f64::from(x))).sum()
+            };
             reference::assert_gradient(&p, &curve.parameter_gradient(&sums), loss, 2e-3);
         }
     }
