@@ -44,7 +44,9 @@ pub enum GroundError {
         got: String,
     },
     /// A pixel that does not see the ground.
-    #[error("pixel ({x}, {y}) does not look at the ground: the horizon is at row {horizon:.1} of that column")]
+    #[error(
+        "pixel ({x}, {y}) does not look at the ground: the horizon is at row {horizon:.1} of that column"
+    )]
     AboveHorizon {
         /// From the left.
         x: f64,

@@ -251,11 +251,7 @@ fn blended(
 /// base's middle on the point.
 #[must_use]
 pub fn stand((low, high): (Vec3, Vec3), at: [f64; 2], scale: f64, yaw: f64) -> Similarity {
-    let base = DVec3::new(
-        0.5 * f64::from(low.x + high.x),
-        0.5 * f64::from(low.y + high.y),
-        f64::from(low.z),
-    );
+    let base = DVec3::new(0.5 * f64::from(low.x + high.x), 0.5 * f64::from(low.y + high.y), f64::from(low.z));
     let rotation = glam::DQuat::from_rotation_z(yaw);
     let translation = DVec3::new(at[0], at[1], 0.0) - rotation * (base * scale);
     Similarity { scale, rotation, translation }

@@ -93,3 +93,34 @@ pub fn spline(p: &[f64], x: f64) -> f64 {
     }
     unreachable!()
 }
+
+fn luminance(map: &[f64], i: usize) -> f64 {
+    let n = map.len() / 3;
+    0.2126 * map[i] + 0.7152 * map[n + i] + 0.0722 * map[2 * n + i]
+}
+
+/// DiPIR Eq. 12–14 as printed.
+pub fn fuse(foreground: &[f64], shadow: &[f64]) -> Vec<f64> {
+    let n = foreground.len() / 3;
+    let most = (0..n).map(|i| luminance(foreground, i)).fold(0.0, f64::max);
+    let mut out = vec![0.0; 3 * n];
+    for i in 0..n {
+        let (a, b) = (luminance(foreground, i), luminance(shadow, i));
+        let r = a / most * (b / (a + b));
+        let fused = (1.0 - r) * a + r * b;
+        for c in 0..3 {
+            out[c * n + i] = foreground[c * n + i] * (fused / a);
+        }
+    }
+    out
+}
+
+/// DiPIR Eq. 10 with luminances normalised to integrate to 1.
+pub fn consistency(foreground: &[f64], shadow: &[f64], omega: &[f64]) -> f64 {
+    let normalised = |map: &[f64]| -> Vec<f64> {
+        let sum: f64 = omega.iter().enumerate().map(|(i, w)| luminance(map, i) * w).sum();
+        (0..omega.len()).map(|i| luminance(map, i) / sum).collect()
+    };
+    let (p, q) = (normalised(foreground), normalised(shadow));
+    -(0..omega.len()).map(|i| q[i] * p[i].ln() * omega[i]).sum::<f64>()
+}

@@ -50,8 +50,7 @@ impl Grid {
                 Vec3::new(theta.cos(), theta.sin(), 0.0)
             })
             .collect();
-        let omega =
-            (0..height).map(|r| comgs_geom::equirect::texel_solid_angle(r, width, height)).collect();
+        let omega = (0..height).map(|r| comgs_geom::equirect::texel_solid_angle(r, width, height)).collect();
         Self { height, width, edges, azimuths, omega }
     }
 
@@ -63,7 +62,8 @@ impl Grid {
     pub fn inside(&self, texel: usize, rng: &mut Rng) -> Vec3 {
         let row = texel / self.width;
         let bits = rng.next_u32();
-        let z = self.edges[row] + (bits >> 8) as f32 * (1.0 / 16_777_216.0) * (self.edges[row + 1] - self.edges[row]);
+        let z = self.edges[row]
+            + (bits >> 8) as f32 * (1.0 / 16_777_216.0) * (self.edges[row + 1] - self.edges[row]);
         self.at(texel % self.width, bits, z)
     }
 

@@ -114,7 +114,13 @@ fn visible(object: &Object, camera: &Camera, grid: usize, seed: u64) -> Visible 
     let all = Image::from_data(w, h, 8, data);
     let coverage = all.select(&[0]);
     let pixels = (0..w * h).filter(|&i| coverage.data[i] > 0.0).map(|i| i as u32).collect();
-    Visible { pixels, coverage, albedo: all.select(&[1, 2, 3]), normal: all.select(&[4, 5, 6]), depth: all.select(&[7]) }
+    Visible {
+        pixels,
+        coverage,
+        albedo: all.select(&[1, 2, 3]),
+        normal: all.select(&[4, 5, 6]),
+        depth: all.select(&[7]),
+    }
 }
 
 /// How many pixels show the object: what the matrix' memory is in proportion to.

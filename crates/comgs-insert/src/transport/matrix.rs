@@ -56,7 +56,8 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
             lanes[k] += x[k] * y[k];
         }
     }
-    let mut sum = (lanes[0] + lanes[4]) + (lanes[1] + lanes[5]) + ((lanes[2] + lanes[6]) + (lanes[3] + lanes[7]));
+    let mut sum =
+        (lanes[0] + lanes[4]) + (lanes[1] + lanes[5]) + ((lanes[2] + lanes[6]) + (lanes[3] + lanes[7]));
     for (x, y) in ra.iter().zip(rb) {
         sum += x * y;
     }
@@ -251,7 +252,9 @@ mod tests {
                 constant[1] = row as f32;
             };
             let matrix = Matrix::build(rows, height, channels, fill, |_| true).unwrap();
-            assert!(matrix.bytes() <= crate::transport::most_bytes(rows, height, channels) + 8 * rows * texels);
+            assert!(
+                matrix.bytes() <= crate::transport::most_bytes(rows, height, channels) + 8 * rows * texels
+            );
             let mut rng = Rng::new(1);
             let mut map = LightMap::zeros(height);
             map.data.iter_mut().for_each(|v| *v = rng.uniform());

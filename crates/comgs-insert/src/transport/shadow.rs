@@ -74,7 +74,9 @@ pub fn trace_shadow(
     // Centre of a texel to its corner, at most.
     let slack = std::f32::consts::PI / config.height as f32;
     let centres: Vec<Vec3> = (0..above)
-        .map(|t| comgs_geom::equirect::texel_direction(t % grid.width, t / grid.width, grid.width, grid.height))
+        .map(|t| {
+            comgs_geom::equirect::texel_direction(t % grid.width, t / grid.width, grid.width, grid.height)
+        })
         .collect();
     let point = |x: f64, y: f64| -> Option<Vec3> {
         let ray = camera.ray_world(x, y);
@@ -159,11 +161,8 @@ impl Shadow {
             grad_beta.iter().map(|g| std::array::from_fn(|c| -g[c] * inverse[c])).collect();
         self.matrix.transposed(&rows, grad);
         for c in 0..3 {
-            let sum: f64 = grad_beta
-                .iter()
-                .zip(&ratios.taken)
-                .map(|(g, t)| f64::from(g[c]) * f64::from(t[c]))
-                .sum();
+            let sum: f64 =
+                grad_beta.iter().zip(&ratios.taken).map(|(g, t)| f64::from(g[c]) * f64::from(t[c])).sum();
             let scale = sum as f32 * inverse[c] * inverse[c];
             let out = &mut grad.data[c * texels..(c + 1) * texels];
             for (o, g) in out.iter_mut().zip(&self.ground) {
