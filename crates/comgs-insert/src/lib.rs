@@ -4,6 +4,9 @@
 //! Modules in the order of the work: the virtual scene ([`ground`], [`object`]), what light does in it ([`transport`]), the
 //! light and the tone that are optimised ([`light`], [`tone`], [`fusion`]), the picture ([`mod@composite`]), and the
 //! optimisation under a guidance ([`guidance`], [`mod@optimise`]).
+//! [`preview`](mod@preview) shows the scene beforehand, [`panorama`] says what light a photo itself tells of, and
+//! [`render`](mod@render) makes the final picture at full size. [`session`] has the steps that
+//! the stage and the benchmark share.
 
 pub mod composite;
 mod error;
@@ -13,8 +16,12 @@ pub mod guidance;
 pub mod light;
 pub mod object;
 pub mod optimise;
+pub mod panorama;
+pub mod preview;
 #[cfg(test)]
 mod reference;
+pub mod render;
+pub mod session;
 pub mod tone;
 pub mod transport;
 

@@ -67,6 +67,12 @@ pub struct Settings {
 }
 
 impl Settings {
+    /// For a guidance that gives the maps themselves: nothing else has a say in them.
+    #[must_use]
+    pub fn for_maps() -> Self {
+        Self { consistency: 0.0, concentration: 0.0, smoothness: 0.0, curves: Curves::Fixed, ..Self::dipir() }
+    }
+
     /// The paper's: 600 iterations, λ = 0.03 and 0.01, random crops. Learning rates are ours; the paper states none.
     #[must_use]
     pub fn dipir() -> Self {
@@ -125,10 +131,13 @@ pub struct Outcome {
 /// Both lights are rasterised and fused; the object is lit by `s · fused + (1 − s) · own` and likewise the shadow, with s
 /// from 0 at the first to 1 at the last iteration (Eq. 15–18). All of it is differentiated by hand.
 ///
+/// `problem` may be absent for a guidance that does not look at the composite; nothing is rendered for it.
+///
 /// # Errors
-/// [`InsertError::Stopped`], [`InsertError::Diverged`], or the guidance's own.
+/// [`InsertError::Stopped`], [`InsertError::Diverged`], the guidance's own, or [`InsertError::Input`] when the guidance looks at
+/// a composite and there is no problem to make one of.
 pub fn optimise(
-    problem: &Problem<'_>,
+    problem: Option<&Problem<'_>>,
     mut state: State,
     guidance: &mut dyn Guidance,
     settings: &Settings,
@@ -139,7 +148,17 @@ pub fn optimise(
         Adam::new(state.shadow.parameters().len()),
         Adam::new(4 * crate::tone::PARAMETERS),
     ];
-    let bounds = bounding_box(problem.foreground);
+    let looked_at = match (guidance.looks_at_composite(), problem) {
+        (false, _) => None,
+        (true, Some(problem)) => Some((problem, bounding_box(problem.foreground))),
+        (true, None) => {
+            return Err(InsertError::Input {
+                what: "the guidance",
+                expected: "a photo and transport to look at".into(),
+                got: "none".into(),
+            });
+        }
+    };
     let mut losses = Vec::with_capacity(settings.iterations);
     let mut dropped = 0;
     for iteration in 0..settings.iterations {
@@ -147,17 +166,25 @@ pub fn optimise(
             return Err(InsertError::Stopped);
         }
         let progress = iteration as f32 / (settings.iterations - 1).max(1) as f32;
-        let crop = match settings.crops {
-            Crops::Whole => Crop::whole(problem.photo),
-            Crops::Random => {
-                random_crop(problem.photo, bounds, &mut Rng::stream(settings.seed, iteration as u64))
-            }
-        };
         let own = [state.foreground.rasterise(), state.shadow.rasterise()];
         let fusion = fuse(&own[0], &own[1]);
         let lit = [blend(&own[0], &fusion.map, progress), blend(&own[1], &fusion.map, progress)];
-        let pass = Pass { problem, tone: &state.tone, crop };
-        let (loss, by_lit, by_tone) = pass.run(guidance, iteration, progress, &lit)?;
+        let (loss, by_lit, by_tone) = match looked_at {
+            Some((problem, object)) => {
+                let mut rng = Rng::stream(settings.seed, iteration as u64);
+                let crop = match settings.crops {
+                    Crops::Whole => Crop::whole(problem.photo),
+                    Crops::Random => random_crop(problem.photo, object, &mut rng),
+                };
+                Pass { problem, tone: &state.tone, crop }.run(guidance, iteration, progress, &lit)?
+            }
+            None => {
+                let crop = Crop { x0: 0, y0: 0, x1: 0, y1: 0 };
+                let light = [&lit[0], &lit[1]];
+                let pull = guidance.pull(&View { iteration, progress, composite: None, crop, light })?;
+                (pull.loss, pull.light.unwrap_or_else(|| nothing(own[0].height)), None)
+            }
+        };
 
         let height = own[0].height;
         let mut by_fused = LightMap::zeros(height);
@@ -194,6 +221,11 @@ pub fn optimise(
     Ok(Outcome { state, light, losses, dropped })
 }
 
+/// No gradient.
+fn nothing(height: usize) -> [LightMap; 2] {
+    [LightMap::zeros(height), LightMap::zeros(height)]
+}
+
 /// One way forth and back between maps and guidance.
 struct Pass<'a> {
     problem: &'a Problem<'a>,
@@ -212,20 +244,14 @@ impl Pass<'_> {
     ) -> Result<(f32, [LightMap; 2], Option<Vec<f32>>), InsertError> {
         let Problem { photo, foreground, shadow } = *self.problem;
         let crop = self.crop;
-        let view = |composite| View { iteration, progress, composite, crop, light: [&lit[0], &lit[1]] };
-        let height = lit[0].height;
-        if !guidance.looks_at_composite() {
-            let pull = guidance.pull(&view(None))?;
-            let none = || [LightMap::zeros(height), LightMap::zeros(height)];
-            return Ok((pull.loss, pull.light.unwrap_or_else(none), None));
-        }
         let curves = self.tone.curves();
         let inside = |pixels: &[u32], row: usize| crop.contains(pixels[row] as usize, photo.width);
         let radiance = foreground.matrix.times(&lit[0], |row| inside(&foreground.pixels, row));
         let ratios = shadow.ratios(&lit[1], |row| inside(&shadow.pixels, row));
         let image = composite(photo, foreground, shadow, &radiance, &ratios.beta, &curves, crop);
-        let pull = guidance.pull(&view(Some(&image)))?;
-        let mut by_lit = pull.light.unwrap_or_else(|| [LightMap::zeros(height), LightMap::zeros(height)]);
+        let light = [&lit[0], &lit[1]];
+        let pull = guidance.pull(&View { iteration, progress, composite: Some(&image), crop, light })?;
+        let mut by_lit = pull.light.unwrap_or_else(|| nothing(lit[0].height));
         let Some(grad) = pull.composite else { return Ok((pull.loss, by_lit, None)) };
         let (by_radiance, by_beta, by_curves) =
             composite_vjp(photo, foreground, shadow, &radiance, &ratios.beta, &curves, crop, &grad);

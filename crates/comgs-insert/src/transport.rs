@@ -9,6 +9,7 @@ mod foreground;
 mod matrix;
 mod shadow;
 
+pub(crate) use foreground::look;
 pub use foreground::{Foreground, ForegroundConfig, count_pixels, trace_foreground};
 pub use matrix::{Matrix, Row};
 pub use shadow::{DARK, Ratios, Shadow, ShadowConfig, trace_shadow};

@@ -40,13 +40,13 @@ fn photo(camera: &Camera) -> Image {
 /// Eq. 6 by the path tracer of comgs-synth: object lit by the map, Reinhard, shadow by two pictures of the ground.
 fn target(photo: &Image, camera: &Camera, light: &LightMap) -> Image {
     let parts = things();
-    let fg = film::render(&world(&parts, false, light), camera, 400, 7);
+    let fg = film::render(&world(&parts, false, light), camera, 256, 7);
     let mut black = parts.clone();
     for p in &mut black {
         p.material = comgs_synth::material::Material::plain([0.0; 3], 1.0, 0.0).lambert();
     }
-    let bare = film::render(&world(&[], true, light), camera, 400, 8);
-    let with = film::render(&world(&black, true, light), camera, 400, 8);
+    let bare = film::render(&world(&[], true, light), camera, 256, 8);
+    let with = film::render(&world(&black, true, light), camera, 256, 8);
     let mut out = photo.clone();
     for i in 0..camera.width * camera.height {
         let v = fg.coverage.data[i];
@@ -118,7 +118,7 @@ fn a_sun_is_found_again() {
         let settings = Settings { curves, ..Settings::dipir() };
         let mut guidance = Reference::new(&target, foreground.pixels.len());
         let started = std::time::Instant::now();
-        let found = optimise(&problem, start(24), &mut guidance, &settings, |_| true).unwrap();
+        let found = optimise(Some(&problem), start(64), &mut guidance, &settings, |_| true).unwrap();
         let sun = sun(&found.light);
         let angle = sun.direction.angle_between(truth.direction).to_degrees();
         let energy = sun.energy / truth.energy;
@@ -149,13 +149,13 @@ fn same_bytes_at_any_thread_count() {
     let settings = Settings { iterations: 5, crops: Crops::Random, ..Settings::dipir() };
     let run = || {
         let mut guidance = Reference::new(&photo, foreground.pixels.len());
-        let found = optimise(&problem, start(8), &mut guidance, &settings, |_| true).unwrap();
+        let found = optimise(Some(&problem), start(8), &mut guidance, &settings, |_| true).unwrap();
         (found.light, found.state.tone)
     };
     let many = run();
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap().install(run);
     assert!(many == one);
     let mut guidance = Reference::new(&photo, 1);
-    let stopped = optimise(&problem, start(8), &mut guidance, &settings, |i| i < 2).unwrap_err();
+    let stopped = optimise(Some(&problem), start(8), &mut guidance, &settings, |i| i < 2).unwrap_err();
     assert_eq!(stopped, comgs_insert::InsertError::Stopped);
 }

@@ -23,7 +23,7 @@ fn foreground_against_the_path_tracer() {
     {
         let parts = [part(knot(), [0.0, 0.0, 0.55], color, roughness, metallic)];
         let camera = camera(72, 48);
-        let config = ForegroundConfig { depth: 6, grid: 3, ..ForegroundConfig::default() };
+        let config = ForegroundConfig { depth: 6, bsdf_samples: 64, ..ForegroundConfig::default() };
         let ours = trace_foreground(&object(&parts), &camera, &config, |_| true).unwrap();
         let truth = film::render(&world(&parts, false, &light), &camera, 512, 3);
         let radiance = ours.radiance(&light);
@@ -185,4 +185,43 @@ fn gradient_of_the_shadow_ratio() {
         l[i] = x;
         assert!((difference - f64::from(grad.data[i])).abs() < 1e-3 * f64::from(largest), "texel {i}");
     }
+}
+
+/// Goal: the renderer of the final picture, which samples by light and BSDF, agrees with the matrices, which sample every
+/// texel, under a map with a sun: object and shadow, on average to 1 %.
+#[test]
+fn final_render_against_the_matrices() {
+    use comgs_insert::render::{Samples, render};
+    use comgs_light::EnvironmentSampler;
+    let light = sunny(32, Vec3::new(-0.4, 0.5, 0.8), 8.0);
+    let parts = [part(knot(), [0.0, 0.0, 0.55], [0.8, 0.6, 0.4], 0.3, 0.6)];
+    let (object, camera) = (object(&parts), camera(72, 48));
+    let config = ForegroundConfig { bsdf_samples: 64, ..ForegroundConfig::default() };
+    let f = trace_foreground(&object, &camera, &config, |_| true).unwrap();
+    let config = ShadowConfig::default();
+    let shadow = trace_shadow(&object, &camera, &f.coverage.data, &config, |_| true).unwrap();
+    let (radiance, beta) = (f.radiance(&light), shadow.spread(&shadow.ratios(&light, |_| true).beta, 72, 48));
+    let sampler = EnvironmentSampler::new(&light.to_environment());
+    let samples = Samples { grid: 4, light: 256, shadow: 256, depth: 3 };
+    let layers = render(&object, &camera, &sampler, &samples, 5, |_| true).unwrap();
+    let (mut sums, mut shades) = ([0.0f64; 2], [0.0f64; 2]);
+    let mut error = 0.0f64;
+    for i in 0..72 * 48 {
+        for c in 0..3 {
+            let (a, b) = (radiance.data[3 * i + c], layers.radiance.data[3 * i + c]);
+            sums[0] += f64::from(a * f.coverage.data[i]);
+            sums[1] += f64::from(b * layers.coverage.data[i]);
+            if f.coverage.data[i] < 1.0 {
+                shades[0] += 1.0 - f64::from(beta.data[3 * i + c]);
+                shades[1] += 1.0 - f64::from(layers.ratio.data[3 * i + c]);
+                error += f64::from((beta.data[3 * i + c] - layers.ratio.data[3 * i + c]).abs());
+            }
+        }
+    }
+    println!(
+        "object {sums:?}, shadow {shades:?}, mean absolute difference {:.4}",
+        error / f64::from(72 * 48 * 3)
+    );
+    assert!((sums[1] / sums[0] - 1.0).abs() < 0.01);
+    assert!((shades[1] / shades[0] - 1.0).abs() < 0.02 && error / f64::from(72 * 48 * 3) < 0.01);
 }
