@@ -1,5 +1,8 @@
 //! From arguments to stages, and from their results to what is printed.
 
+mod insert;
+mod insert_eval;
+
 use crate::args::{self, Cli, Command};
 use crate::output::{say, write};
 use crate::terminal::Terminal;
@@ -69,6 +72,8 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Render(a) => run_render(a, &context)?,
         Command::Relight(a) => run_relight(a, &context)?,
         Command::Compose(a) => run_compose(a, &context)?,
+        Command::Insert(a) => insert::run(a, &context)?,
+        Command::InsertEval(a) => insert_eval::run(a, &context)?,
         Command::Material(a) => run_material(a, &context)?,
         Command::Eval(a) => run_eval(a, &context)?,
         Command::Ablate(a) => run_ablate(a, &context)?,

@@ -61,6 +61,9 @@ pub enum PipelineError {
     /// Composition.
     #[error(transparent)]
     Compose(#[from] comgs_compose::ComposeError),
+    /// Insertion into a photo.
+    #[error(transparent)]
+    Insert(comgs_insert::InsertError),
     /// Ray tracing.
     #[error(transparent)]
     Trace(#[from] comgs_trace::TraceError),
