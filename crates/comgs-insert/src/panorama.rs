@@ -87,23 +87,108 @@ pub fn project(photo: &Image, camera: &Camera, response: Response, most: f32, he
     Partial { rgb: all.select(&[0, 1, 2]), alpha: all.select(&[3]) }
 }
 
-/// The completed light, and as a map of `height` rows.
+/// The ground as a light meter: what a photo does not show of the light, it shows by what the ground sends back.
+///
+/// A Lambertian ground of albedo ρ under the irradiance E has the radiance ρ E / π. Where the photo's ground is brighter than
+/// the completed sky can make it, the rest must come from a light outside the frame. Its direction is not known; a wide
+/// lobe above and behind the camera gives objects the right brightness with a soft shadow, and is wrong by least for a
+/// sun that may stand anywhere the photo does not look.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GroundMeter {
+    /// ρ, taken for any ground.
+    pub albedo: f32,
+    /// Width of the lobe in radians.
+    pub sigma: f32,
+    /// Elevation of the lobe in radians; its azimuth is opposite to the camera's.
+    pub elevation: f32,
+}
+
+impl GroundMeter {
+    /// Chosen on 23 of the 34 maps of `hdri`, those that `comgs insert-eval` does not take: RMSE of sRGB values 0.0579 with a
+    /// clipped response, against 0.0730 without a meter; 0.0633 with ρ = 0.15, 0.0616 with 0.5; 0.0578 with σ = 0.25, 0.0597
+    /// with 1; 0.0619 straight from above, 0.0626 from 29° up.
+    pub const TUNED: Self = Self { albedo: 0.25, sigma: 0.5, elevation: 0.9 };
+}
+
+impl Default for GroundMeter {
+    fn default() -> Self {
+        Self::TUNED
+    }
+}
+
+/// Rows of the ground that is measured start this far below the horizon (radians): the far ground is trees and walls.
+const BELOW_HORIZON: f32 = 0.1;
+
+/// Most that the lobe may add, as a multiple of the completed sky's irradiance: a snow field is no sun.
+const MOST_ADDED: f32 = 8.0;
+
+impl GroundMeter {
+    /// Irradiance (luminance) on the ground by the photo's own ground; `None` where it shows none.
+    #[must_use]
+    pub fn irradiance(&self, partial: &Partial) -> Option<f32> {
+        let (w, h) = (partial.rgb.width, partial.rgb.height);
+        let first = ((0.5 + BELOW_HORIZON / std::f32::consts::PI) * h as f32).ceil() as usize;
+        let (mut sum, mut weight) = (0.0f32, 0.0f32);
+        for i in first * w..w * h {
+            let a = partial.alpha.data[i] * equirect::texel_solid_angle(i / w, w, h);
+            sum += a * comgs_light::luminance(Vec3::from_slice(&partial.rgb.data[3 * i..3 * i + 3]));
+            weight += a;
+        }
+        (weight > 1e-3).then(|| std::f32::consts::PI * sum / (weight * self.albedo))
+    }
+
+    /// Adds the missing light to a completed panorama (three channels); returns how many times the sky's irradiance was
+    /// added, 0 where nothing is missing or no ground is seen.
+    pub fn add_missing(&self, partial: &Partial, camera: &Camera, panorama: &mut Image) -> f32 {
+        let Some(metered) = self.irradiance(partial) else { return 0.0 };
+        let (w, h) = (panorama.width, panorama.height);
+        let behind = -camera.forward().as_vec3().truncate().normalize_or(glam::Vec2::X);
+        let (sin, cos) = self.elevation.sin_cos();
+        let centre = (behind * cos).extend(sin);
+        let (mut sky, mut unit) = (0.0f32, 0.0f32);
+        let lobe = |i: usize| {
+            let d = equirect::texel_direction(i % w, i / w, w, h);
+            (d.z, ((d.dot(centre) - 1.0) / (self.sigma * self.sigma)).exp())
+        };
+        for i in 0..w * h / 2 {
+            let (z, g) = lobe(i);
+            let cosine = z.max(0.0) * equirect::texel_solid_angle(i / w, w, h);
+            sky += cosine * comgs_light::luminance(Vec3::from_slice(&panorama.data[3 * i..3 * i + 3]));
+            unit += cosine * g;
+        }
+        if !(sky > 0.0 && unit > 0.0 && metered > sky) {
+            return 0.0;
+        }
+        let added = (metered - sky).min(MOST_ADDED * sky);
+        for i in 0..w * h {
+            let (_, g) = lobe(i);
+            panorama.data[3 * i..3 * i + 3].iter_mut().for_each(|v| *v += added / unit * g);
+        }
+        added / sky
+    }
+}
+
+/// The completed light as a map of `height` rows, with what the ground tells of in addition where there is a `meter`; also how
+/// many times the sky's irradiance was added.
 ///
 /// # Errors
 /// [`InsertError::Input`] where the completer has nothing to go by.
 pub fn surroundings(
     partial: &Partial,
+    camera: &Camera,
     completer: &dyn Completer,
+    meter: Option<&GroundMeter>,
     height: usize,
-) -> Result<(Image, LightMap), InsertError> {
+) -> Result<(LightMap, f32), InsertError> {
     let wrong = |got: String| InsertError::Input {
         what: "the photo's panorama",
         expected: "one that can be completed".into(),
         got,
     };
-    let image = completer.complete(&partial.rgb, &partial.alpha).map_err(wrong)?;
+    let mut image = completer.complete(&partial.rgb, &partial.alpha).map_err(wrong)?;
+    let added = meter.map_or(0.0, |m| m.add_missing(partial, camera, &mut image));
     let map = LightMap::from_image(&image, height).map_err(|e| wrong(e.to_string()))?;
-    Ok((image, map))
+    Ok((map, added))
 }
 
 #[cfg(test)]

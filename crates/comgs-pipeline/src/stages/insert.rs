@@ -11,7 +11,7 @@ use comgs_insert::guidance::Reference;
 use comgs_insert::light::LightMap;
 use comgs_insert::object::Object;
 use comgs_insert::optimise::{Curves, Losses};
-use comgs_insert::panorama::{Completer as _, Harmonic, Partial};
+use comgs_insert::panorama::{Completer as _, GroundMeter, Harmonic, Partial, project, surroundings};
 use comgs_insert::render::{Samples, render};
 use comgs_insert::session::{self, LightKind, TransportConfig};
 use comgs_insert::tone::{Response, Tone};
@@ -314,18 +314,19 @@ fn find(
             let partial = run.time("project", || {
                 let response = config.response;
                 let (photo, camera) = (&scene.photo, &scene.camera);
-                Ok::<_, PipelineError>(comgs_insert::panorama::project(
-                    photo,
-                    camera,
-                    response,
-                    MOST,
-                    PANORAMA_HEIGHT,
-                ))
+                Ok::<_, PipelineError>(project(photo, camera, response, MOST, PANORAMA_HEIGHT))
             })?;
             context.progress.note(&format!("the rest of the sphere is completed: {}", Harmonic.name()));
-            let (_, target) = run.time("complete", || {
-                comgs_insert::panorama::surroundings(&partial, &Harmonic, config.light_height)
+            let (target, added) = run.time("complete", || {
+                let meter = GroundMeter::default();
+                surroundings(&partial, &scene.camera, &Harmonic, Some(&meter), config.light_height)
             })?;
+            if added > 0.0 {
+                context.progress.note(&format!(
+                    "the ground is {:.1} times as bright as the sky seen makes it: light from outside the frame is added",
+                    1.0 + added
+                ));
+            }
             let check = |i: usize| iterate(context, config, i);
             let outcome =
                 run.time("optimise", || session::fit(&target, config.light, config.iterations, check))?;

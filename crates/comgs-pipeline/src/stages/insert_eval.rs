@@ -16,7 +16,7 @@ use comgs_image::transfer::{linear_from_srgb, srgb_from_linear, srgb8_from_linea
 use comgs_image::{Image, write_png};
 use comgs_insert::ground::{Ground, above};
 use comgs_insert::object::{Object, stand};
-use comgs_insert::panorama::{Harmonic, project, surroundings};
+use comgs_insert::panorama::{GroundMeter, Harmonic, project, surroundings};
 use comgs_insert::render::{Samples, render};
 use comgs_insert::session::{self, LightKind, compose_layers, fit, touched};
 use comgs_insert::tone::{Response, Tone};
@@ -71,7 +71,7 @@ impl Default for Config {
             size: [384, 256],
             fov_deg: 60.0,
             height: 1.5,
-            distance: 3.2,
+            distance: 4.2,
             samples: Samples { grid: 3, light: 96, shadow: 128, depth: 3 },
             iterations: 600,
             light_height: 32,
@@ -98,33 +98,38 @@ struct Method {
 }
 
 /// Where a method's light comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Estimate {
     /// Even light of the photo's mean.
     Even,
     /// The completed panorama, described as it says.
-    Panorama(LightKind),
+    Panorama(LightKind, Option<GroundMeter>),
     /// The true map reduced to what the optimised maps hold: what the description alone costs.
     True,
 }
 
 /// Methods in the order of the table. The photos' own response is [`Response::Clip`].
-const METHODS: [Method; 5] = [
+const METHODS: [Method; 6] = [
     Method { name: "even light", light: Estimate::Even, response: Response::Clip },
     Method {
-        name: "panorama, Gaussians, Reinhard",
-        light: Estimate::Panorama(LightKind::Gaussians(LOBES)),
+        name: "panorama without the ground",
+        light: Estimate::Panorama(LightKind::Gaussians(LOBES), None),
         response: Response::Reinhard,
     },
     Method {
-        name: "panorama, Gaussians, clipped",
-        light: Estimate::Panorama(LightKind::Gaussians(LOBES)),
+        name: "panorama",
+        light: Estimate::Panorama(LightKind::Gaussians(LOBES), Some(GroundMeter::TUNED)),
+        response: Response::Reinhard,
+    },
+    Method {
+        name: "panorama, clipped response",
+        light: Estimate::Panorama(LightKind::Gaussians(LOBES), Some(GroundMeter::TUNED)),
         response: Response::Clip,
     },
     Method {
-        name: "panorama, texels, clipped",
-        light: Estimate::Panorama(LightKind::Texels),
-        response: Response::Clip,
+        name: "panorama, texels",
+        light: Estimate::Panorama(LightKind::Texels, Some(GroundMeter::TUNED)),
+        response: Response::Reinhard,
     },
     Method { name: "true map at the fit's resolution", light: Estimate::True, response: Response::Clip },
 ];
@@ -175,8 +180,13 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         let truth = picture(&case, &case.light, Response::Clip, config, context)?;
         run.add_time("reference", started.elapsed().as_secs_f64(), false);
         let crop = touched(&truth.1);
-        let file =
-            |what: &str| input.output.join(format!("{}_{}.png", case.name, what.replace([',', ' '], "_")));
+        let file = |what: &str| {
+            input.output.join(format!(
+                "{}_{}.png",
+                case.name,
+                what.replace(", ", "_").replace([' ', '\''], "_")
+            ))
+        };
         let mut strip = vec![case.photo.clone(), truth.0.clone()];
         for (what, image) in [("photo", &case.photo), ("reference", &truth.0)] {
             write_png(&file(what), image)?;
@@ -295,9 +305,10 @@ fn estimate(
         Estimate::Even => {
             Ok(EnvironmentMap::constant(session::mean_radiance(&case.photo, method.response, most)))
         }
-        Estimate::Panorama(kind) => {
+        Estimate::Panorama(kind, meter) => {
             let partial = project(&case.photo, &case.camera, method.response, most, PANORAMA_HEIGHT);
-            let (_, target) = surroundings(&partial, &Harmonic, config.light_height)?;
+            let (target, _) =
+                surroundings(&partial, &case.camera, &Harmonic, meter.as_ref(), config.light_height)?;
             let check = |_: usize| !context.cancel.is_cancelled();
             Ok(fit(&target, kind, config.iterations, check)?.light.to_environment())
         }
