@@ -221,11 +221,44 @@ mod tests {
         assert!((texel[0] - 1.0 / 3.0).abs() < 1e-5 && (texel[1] - 1.0).abs() < 1e-5);
         assert!((texel[2] - 9.0).abs() < 1e-4);
         assert!((partial.rgb.rgb(68, 36)[2]).abs() < 1e-6);
-        let (_, map) = surroundings(&partial, &Harmonic, 16).unwrap();
-        assert!(map.data.iter().all(|v| v.is_finite() && *v >= 0.0));
-        assert!(
-            surroundings(&Partial { rgb: Image::zeros(8, 4, 3), alpha: Image::zeros(8, 4, 1) }, &Harmonic, 4)
-                .is_err()
-        );
+        let (map, added) = surroundings(&partial, &camera, &Harmonic, None, 16).unwrap();
+        assert!(map.data.iter().all(|v| v.is_finite() && *v >= 0.0) && added == 0.0);
+        let nothing = Partial { rgb: Image::zeros(8, 4, 3), alpha: Image::zeros(8, 4, 1) };
+        assert!(surroundings(&nothing, &camera, &Harmonic, None, 4).is_err());
+    }
+
+    /// Goal: a ground that is as bright as albedo and sky say adds nothing; one three times as bright adds twice the sky, so
+    /// that the irradiance of the result is what the ground shows; without any ground there is no meter.
+    #[test]
+    fn the_ground_tells_of_light_outside_the_frame() {
+        let camera = Camera::look_at("photo", 60, 40, 1.2, DVec3::ZERO, DVec3::X, DVec3::Z);
+        let (w, h) = (128, 64);
+        let mut alpha = Image::zeros(w, h, 1);
+        for y in 40..56 {
+            for x in 50..80 {
+                alpha.pixel_mut(x, y)[0] = 1.0;
+            }
+        }
+        let meter = GroundMeter::default();
+        let irradiance = |im: &Image| -> f32 {
+            (0..w * h / 2)
+                .map(|i| {
+                    let z = equirect::texel_direction(i % w, i / w, w, h).z;
+                    z * equirect::texel_solid_angle(i / w, w, h) * im.data[3 * i]
+                })
+                .sum()
+        };
+        for (times, expected) in [(0.5f32, 0.0f32), (0.99, 0.0), (3.0, 2.0)] {
+            // Even light of radiance 1 has the irradiance π.
+            let rgb = Image::filled(w, h, 3, times * meter.albedo);
+            let partial = Partial { rgb, alpha: alpha.clone() };
+            let mut panorama = Image::filled(w, h, 3, 1.0);
+            let added = meter.add_missing(&partial, &camera, &mut panorama);
+            assert!((added - expected).abs() < 0.01, "{times}: {added}");
+            let truth = std::f32::consts::PI * (1.0 + expected);
+            assert!((irradiance(&panorama) - truth).abs() < 0.01 * truth);
+        }
+        let none = Partial { rgb: Image::filled(w, h, 3, 1.0), alpha: Image::zeros(w, h, 1) };
+        assert!(meter.irradiance(&none).is_none());
     }
 }
