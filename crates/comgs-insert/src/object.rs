@@ -41,7 +41,7 @@ const SURFACE_WEIGHT: f32 = 0.02;
 /// What the rays meet.
 #[derive(Debug)]
 enum Shape {
-    Mesh { tracer: MeshTracer, mesh: Mesh },
+    Mesh { tracer: MeshTracer, mesh: Box<Mesh> },
     Surfels { tracer: Box<Tracer>, normals: Vec<Vec3>, materials: Vec<Material> },
 }
 
@@ -100,7 +100,13 @@ impl Object {
         let bounds = mesh.bounds()?;
         let (centre, radius) = sphere(bounds);
         let tracer = MeshTracer::new(&mesh.positions, &mesh.triangles);
-        Some(Self { shape: Shape::Mesh { tracer, mesh }, bounds, centre, radius, replaced: None })
+        Some(Self {
+            shape: Shape::Mesh { tracer, mesh: Box::new(mesh) },
+            bounds,
+            centre,
+            radius,
+            replaced: None,
+        })
     }
 
     /// Decomposed surfels, moved to the world. `None` when there are none or they have no material.
