@@ -100,6 +100,7 @@ fn kernels_do_not_touch_files() {
         "comgs-metrics",
         "comgs-inverse",
         "comgs-compose",
+        "comgs-insert",
     ];
     for kernel in kernels {
         let mut files = Vec::new();
@@ -129,6 +130,7 @@ fn witnesses_share_no_kernel() {
                 "comgs-trace",
                 "comgs-inverse",
                 "comgs-compose",
+                "comgs-insert",
                 "comgs-light",
                 "comgs-optim",
             ];

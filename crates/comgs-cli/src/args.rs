@@ -6,6 +6,7 @@
 //! Arguments and help. Help teaches: every command says what it makes and shows how it is called.
 
 mod frames;
+mod insert;
 mod judges;
 mod objects;
 mod places;
@@ -14,6 +15,9 @@ mod synth;
 use clap::{Parser, Subcommand, ValueEnum};
 
 pub(crate) use frames::{Compose, Relight, Render, SelfShadow};
+pub(crate) use insert::{
+    CameraArgument, GuidanceArgument, Insert, InsertEval, ObjUp, Plane, ResponseArgument,
+};
 pub(crate) use judges::{Ablate, AblateWhat, Eval};
 pub(crate) use objects::{Decompose, Export, Material, Preset, Reconstruct, Visibility};
 pub(crate) use places::{
@@ -71,6 +75,8 @@ pub(crate) enum Command {
     Render(Render),
     Relight(Relight),
     Compose(Compose),
+    Insert(Box<Insert>),
+    InsertEval(InsertEval),
     Material(Material),
     Eval(Eval),
     Ablate(Ablate),

@@ -1,5 +1,7 @@
 //! From arguments to stages, and from their results to what is printed.
 
+mod insert;
+mod insert_eval;
 mod light;
 
 use crate::args::{self, Cli, Command};
@@ -73,6 +75,8 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Render(a) => run_render(a, &context)?,
         Command::Relight(a) => run_relight(a, &context)?,
         Command::Compose(a) => run_compose(a, &context)?,
+        Command::Insert(a) => insert::run(a, &context)?,
+        Command::InsertEval(a) => insert_eval::run(a, &context)?,
         Command::Material(a) => run_material(a, &context)?,
         Command::Eval(a) => run_eval(a, &context)?,
         Command::Ablate(a) => run_ablate(a, &context)?,

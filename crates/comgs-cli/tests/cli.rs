@@ -15,7 +15,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-const COMMANDS: [&str; 14] = [
+const COMMANDS: [&str; 16] = [
     "reconstruct",
     "decompose",
     "relight",
@@ -24,6 +24,8 @@ const COMMANDS: [&str; 14] = [
     "light",
     "render",
     "compose",
+    "insert",
+    "insert-eval",
     "eval",
     "ablate",
     "export",

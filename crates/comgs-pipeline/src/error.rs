@@ -64,6 +64,9 @@ pub enum PipelineError {
     /// Completion of a panorama.
     #[error(transparent)]
     Panorama(#[from] comgs_panorama::CompletionError),
+    /// Insertion into a photo.
+    #[error(transparent)]
+    Insert(comgs_insert::InsertError),
     /// Ray tracing.
     #[error(transparent)]
     Trace(#[from] comgs_trace::TraceError),

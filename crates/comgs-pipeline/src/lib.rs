@@ -13,6 +13,7 @@
 //! | [`stages::render`] | asset, cameras | frames, layers |
 //! | [`stages::relight`] | decomposed asset, environment map, cameras | frames, layers, turntable |
 //! | [`stages::compose`] | scene, object, transform, cameras | frames, layers, `composition.json`, `report.html` |
+//! | [`stages::insert`] | photo, mesh or decomposed asset | composite, layers, `env.exr`, tone curves, `report.html` |
 //! | [`stages::eval`] | asset or frames, ground truth | scores |
 //! | [`stages::ablate`] | object capture with ground truth | table and plot of what choices cost |
 //! | [`stages::export`] | asset | a PLY for other programs |

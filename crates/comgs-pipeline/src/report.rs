@@ -6,6 +6,7 @@ use crate::record::StageTime;
 use crate::stages::eval::{Evaluation, Table};
 use crate::{PipelineError, progress::human_bytes, progress::human_duration};
 use comgs_image::Image;
+pub(crate) use html::base64;
 use html::{escape, jpeg_data_url, png_data_url};
 use std::path::Path;
 

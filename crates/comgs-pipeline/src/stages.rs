@@ -8,6 +8,8 @@ pub mod demo;
 pub mod eval;
 pub mod export;
 pub mod info;
+pub mod insert;
+pub mod insert_eval;
 pub mod light;
 pub mod material;
 pub mod model;

@@ -10,6 +10,8 @@ pub mod capture;
 pub mod composition;
 mod error;
 pub mod json;
+pub mod mesh;
+pub mod photo;
 pub mod probe;
 pub mod transform_file;
 pub mod undistort;
@@ -22,5 +24,6 @@ pub use capture::{
 };
 pub use composition::{CompositionRecord, EffectPolicy, ObjectRecord, ShadowPolicy};
 pub use error::SceneError;
+pub use mesh::{Mesh, MeshMaterial, read_mesh};
 pub use transform_file::TransformFile;
 pub use undistort::undistort_image;

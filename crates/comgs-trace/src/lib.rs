@@ -13,12 +13,15 @@
 //! and eight discs a leaf, one SIMD lane each.
 //!
 //! [`mod@reference`] is the specification: all surfels, no tree, f64.
+//!
+//! [`MeshTracer`] does the same for triangles, for objects that come as meshes.
 
 mod bvh;
 mod collapse;
 mod config;
 mod disc;
 mod kernel;
+mod mesh;
 pub mod reference;
 mod tracer;
 mod traverse;
@@ -26,5 +29,6 @@ mod view;
 
 pub use config::{TraceConfig, TraceError};
 pub use disc::LeftOut;
+pub use mesh::{MeshHit, MeshTracer};
 pub use tracer::{Hit, RadianceHit, Ray, Tracer};
 pub use view::TracerView;

@@ -1,0 +1,228 @@
+//! Arguments of the insertion into one photo.
+
+use crate::values::{number, positive};
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+/// Insert an object into one photo
+///
+/// Finds the light that the photo tells of, lights the object with it, casts its shadow on the ground, and composes both.
+/// The object is a mesh (glTF, GLB, OBJ) or a decomposed asset. Look at preview.png first (--preview): the grid lies on the
+/// ground when camera and plane are right.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs insert --image photo.jpg --object car.glb --preview -o out
+  comgs insert --image photo.jpg --object car.glb --camera fov=50 --plane horizon=210,1.6 --pixel 300,400 -o out
+  comgs insert --image photo.jpg --object kettle.asset --scale 0.3 --guidance reference=painted.png -o out
+  comgs insert --image photo.jpg --object chair.obj --guidance none --light env.exr -o out")]
+pub(crate) struct Insert {
+    /// The photo
+    #[arg(long, value_name = "FILE")]
+    pub image: PathBuf,
+
+    /// Mesh (.glb, .gltf, .obj) or decomposed asset
+    #[arg(long, value_name = "FILE")]
+    pub object: PathBuf,
+
+    /// Camera: `fov=DEG` (horizontal) or a camera file; the photo's EXIF when absent
+    #[arg(long, value_name = "fov=DEG|FILE", value_parser = camera)]
+    pub camera: Option<CameraArgument>,
+
+    /// Ground: `auto`, `nx,ny,nz,d` (camera space, y down), `horizon=ROW,HEIGHT`, or
+    /// `points=X,Y,DEPTH;X,Y,DEPTH;X,Y,DEPTH`
+    #[arg(long, value_name = "PLANE", default_value = "auto", value_parser = plane, allow_hyphen_values = true)]
+    pub plane: Plane,
+
+    /// Where it stands on the ground: metres ahead of the camera's foot, and to the left
+    #[arg(long, value_name = "X,Y", value_parser = pair, allow_hyphen_values = true, conflicts_with = "pixel")]
+    pub at: Option<[f64; 2]>,
+
+    /// Where it stands: a pixel of the photo (x right, y down)
+    #[arg(long, value_name = "X,Y", value_parser = pair)]
+    pub pixel: Option<[f64; 2]>,
+
+    /// Factor on the object's size; 1 when absent and its unit is the metre
+    #[arg(long, value_name = "S", value_parser = positive, allow_hyphen_values = true)]
+    pub scale: Option<f64>,
+
+    /// Turn about up, counter-clockwise seen from above
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true, value_parser = number)]
+    pub yaw: f64,
+
+    /// Which axis of an OBJ points up
+    #[arg(long, value_enum, default_value = "y")]
+    pub obj_up: ObjUp,
+
+    /// What says how it should look: `panorama` (the photo, completed), `reference=IMAGE` (a composite to match), `none`
+    #[arg(long, value_name = "GUIDANCE", default_value = "panorama", value_parser = guidance)]
+    pub guidance: GuidanceArgument,
+
+    /// Light for `--guidance none`; even light of the photo's mean when absent
+    #[arg(long, value_name = "FILE")]
+    pub light: Option<PathBuf>,
+
+    /// Spherical Gaussians that the light is made of
+    #[arg(long, default_value_t = comgs_pipeline::stages::insert::LOBES, conflicts_with = "free_texels")]
+    pub lobes: usize,
+
+    /// Light of free texels with a smoothness prior instead of Gaussians
+    #[arg(long)]
+    pub free_texels: bool,
+
+    /// Camera's response to the object's radiance, before the learnt correction
+    #[arg(long, value_enum, default_value = "reinhard")]
+    pub response: ResponseArgument,
+
+    /// Keep the tone curves as they are
+    #[arg(long)]
+    pub fixed_tone: bool,
+
+    /// Iterations of the optimisation
+    #[arg(long, default_value_t = 600)]
+    pub iterations: usize,
+
+    /// Width of the picture that is optimised over; the result has the photo's size
+    #[arg(long, value_name = "PIXELS", default_value_t = 384)]
+    pub width: usize,
+
+    /// Rows of the map of light; it is twice as wide
+    #[arg(long, value_name = "ROWS", default_value_t = 32)]
+    pub light_height: usize,
+
+    /// Memory for the matrix of transport in MiB; the map is made coarser where it would take more
+    #[arg(long, value_name = "MIB", default_value_t = 2048)]
+    pub memory: usize,
+
+    /// Samples a pixel of the final picture
+    #[arg(long, default_value_t = 128)]
+    pub samples: usize,
+
+    /// Only draw the ground as a grid, with the object on it
+    #[arg(long)]
+    pub preview: bool,
+
+    /// Seed
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+
+    /// Output folder
+    #[arg(short, long, value_name = "FOLDER")]
+    pub output: PathBuf,
+}
+
+/// Where the camera comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum CameraArgument {
+    Fov(f64),
+    File(PathBuf),
+}
+
+fn camera(text: &str) -> Result<CameraArgument, String> {
+    match text.strip_prefix("fov=") {
+        Some(degrees) => Ok(CameraArgument::Fov(positive(degrees)?)),
+        None => Ok(CameraArgument::File(text.into())),
+    }
+}
+
+/// The ground.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Plane {
+    Auto,
+    Normal([f64; 4]),
+    Horizon([f64; 2]),
+    Points([[f64; 3]; 3]),
+}
+
+fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let found: Vec<f64> = text.split(',').map(number).collect::<Result<_, _>>()?;
+    <[f64; N]>::try_from(found).map_err(|n| format!("expected {N} numbers with commas, got {}", n.len()))
+}
+
+fn pair(text: &str) -> Result<[f64; 2], String> {
+    numbers(text)
+}
+
+fn plane(text: &str) -> Result<Plane, String> {
+    if text == "auto" {
+        return Ok(Plane::Auto);
+    }
+    if let Some(rest) = text.strip_prefix("horizon=") {
+        return Ok(Plane::Horizon(numbers(rest)?));
+    }
+    if let Some(rest) = text.strip_prefix("points=") {
+        let points: Vec<[f64; 3]> = rest.split(';').map(numbers).collect::<Result<_, _>>()?;
+        let three = <[[f64; 3]; 3]>::try_from(points);
+        return three
+            .map(Plane::Points)
+            .map_err(|p| format!("expected three points with semicolons, got {}", p.len()));
+    }
+    numbers(text).map(Plane::Normal)
+}
+
+/// What guides.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum GuidanceArgument {
+    Panorama,
+    Reference(PathBuf),
+    None,
+}
+
+fn guidance(text: &str) -> Result<GuidanceArgument, String> {
+    match text {
+        "panorama" => Ok(GuidanceArgument::Panorama),
+        "none" => Ok(GuidanceArgument::None),
+        _ => match text.strip_prefix("reference=") {
+            Some(path) if !path.is_empty() => Ok(GuidanceArgument::Reference(path.into())),
+            _ => Err("expected panorama, reference=IMAGE or none".into()),
+        },
+    }
+}
+
+/// An axis of an OBJ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ObjUp {
+    /// As most programs write it
+    Y,
+    /// As CAD programs write it
+    Z,
+}
+
+/// A camera's response.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum ResponseArgument {
+    /// x / (1 + x)
+    Reinhard,
+    /// Linear, cut off at white
+    Clip,
+}
+
+/// Measure how well light is found from one photo
+///
+/// Cuts a photo out of each environment map, puts an object on a known ground, and compares insertions under the light that
+/// each method finds with the insertion under the map itself (the benchmark of DiPIR's Table 2).
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs insert-eval hdri -o out/insert_eval
+  comgs insert-eval hdri/sky.exr -o out/sky")]
+pub(crate) struct InsertEval {
+    /// Folder of environment maps (.exr, .hdr), or one map
+    pub maps: PathBuf,
+
+    /// Maps taken, evenly spread over the folder
+    #[arg(long, default_value_t = 11)]
+    pub count: usize,
+
+    /// Iterations of a fit
+    #[arg(long, default_value_t = 600)]
+    pub iterations: usize,
+
+    /// Seed
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+
+    /// Output folder
+    #[arg(short, long, value_name = "FOLDER")]
+    pub output: PathBuf,
+}

@@ -1,0 +1,77 @@
+//! The insertion into one photo.
+
+use crate::args::{self, CameraArgument, GuidanceArgument, Plane};
+use crate::output::say;
+use comgs_insert::ground::Ground;
+use comgs_insert::optimise::Curves;
+use comgs_insert::render::Samples;
+use comgs_insert::session::LightKind;
+use comgs_insert::tone::Response;
+use comgs_pipeline::Context;
+use comgs_pipeline::stages::insert::{self, At, CameraFrom, GuidedBy};
+
+impl From<args::ResponseArgument> for Response {
+    fn from(response: args::ResponseArgument) -> Self {
+        match response {
+            args::ResponseArgument::Reinhard => Self::Reinhard,
+            args::ResponseArgument::Clip => Self::Clip,
+        }
+    }
+}
+
+/// Height of the camera that `--plane auto` takes: a person's eyes.
+const EYE_HEIGHT: f64 = 1.6;
+
+pub(super) fn run(a: &args::Insert, context: &Context<'_>) -> anyhow::Result<()> {
+    let (camera, camera_file) = match &a.camera {
+        None => (CameraFrom::Photo, None),
+        Some(CameraArgument::Fov(degrees)) => (CameraFrom::Fov(*degrees), None),
+        Some(CameraArgument::File(path)) => (CameraFrom::File, Some(path.clone())),
+    };
+    let ground = match a.plane {
+        Plane::Auto => Ground::Level { height: EYE_HEIGHT },
+        Plane::Normal([x, y, z, d]) => Ground::Plane { normal: [x, y, z], distance: d },
+        Plane::Horizon([row, height]) => Ground::Horizon { row, height },
+        Plane::Points(points) => Ground::Points(points),
+    };
+    let (guidance, reference) = match &a.guidance {
+        GuidanceArgument::Panorama => (GuidedBy::Panorama, None),
+        GuidanceArgument::Reference(path) => (GuidedBy::Reference, Some(path.clone())),
+        GuidanceArgument::None => (GuidedBy::None, None),
+    };
+    let at = match (a.at, a.pixel) {
+        (Some(at), _) => At::Ground(at),
+        (None, Some(pixel)) => At::Pixel(pixel),
+        (None, None) => At::Auto,
+    };
+    let config = insert::Config {
+        camera,
+        ground,
+        at,
+        scale: a.scale,
+        yaw_deg: a.yaw,
+        obj_z_up: a.obj_up == args::ObjUp::Z,
+        guidance,
+        light: if a.free_texels { LightKind::Texels } else { LightKind::Gaussians(a.lobes) },
+        response: a.response.into(),
+        iterations: a.iterations,
+        curves: if a.fixed_tone { Curves::Fixed } else { Curves::Free },
+        width: a.width,
+        light_height: a.light_height,
+        memory: a.memory << 20,
+        samples: Samples { light: a.samples, shadow: a.samples, ..Samples::default() },
+        preview_only: a.preview,
+        seed: a.seed,
+    };
+    let input = insert::Input {
+        image: a.image.clone(),
+        object: a.object.clone(),
+        camera: camera_file,
+        reference,
+        light: a.light.clone(),
+        output: a.output.clone(),
+    };
+    let made = insert::run(&input, &config, context)?;
+    say!("{}", made.composite.display());
+    Ok(())
+}
