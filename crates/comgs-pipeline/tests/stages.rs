@@ -67,7 +67,8 @@ fn odd_places_are_told() {
 fn light_is_swept_and_completed() {
     let root = tempfile::tempdir().unwrap();
     let world = world(root.path());
-    let input = light::Input { scene: world.scene.clone(), output: root.path().join("env.exr") };
+    let input =
+        light::Input { scene: world.scene.clone(), output: root.path().join("env.exr"), report: None };
     let config = light::Config { height: 16, ..light::Config::at(DVec3::new(0.0, 0.0, 0.4)) };
     let made = light::run(&input, &config, &Context::silent()).unwrap();
     assert!((0.4..0.8).contains(&made.coverage), "{}", made.coverage);
