@@ -11,6 +11,7 @@
 //! Nothing here knows the command line; only [`layers`] and [`relight::write_relit_layers`] write files.
 
 pub mod denoise;
+pub mod field_shadow;
 pub mod frame;
 pub mod layers;
 pub mod objects;
@@ -23,6 +24,7 @@ pub mod shadow;
 pub mod shadow_light;
 
 pub use denoise::{AtrousConfig, Denoise};
+pub use field_shadow::{FieldShadow, ShadowRatios, StrongFrom, grid_turn};
 pub use frame::{ComposeConfig, ComposeError, ComposedFrame, Composer};
 pub use objects::{PlacedObject, merge};
 pub use occlusion_field::{FieldConfig, FieldError, OcclusionField};
