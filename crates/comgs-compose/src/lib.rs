@@ -21,6 +21,7 @@ pub mod placement;
 pub mod receivers;
 pub mod relight;
 pub mod shadow;
+pub mod shadow_cache;
 pub mod shadow_light;
 
 pub use denoise::{AtrousConfig, Denoise};
@@ -33,4 +34,5 @@ pub use placement::{PlacementConfig, PlacementReport, check_placement};
 pub use receivers::Receivers;
 pub use relight::{Heuristic, Indirect, RelightConfig, RelightError, Relighter, RelitFrame, SelfOcclusion};
 pub use shadow::{DARK, LightSample, LightSource, Occluder, ShadowConfig, shadow_ratio};
+pub use shadow_cache::{CacheConfig, CacheStatistics, ReceiverCloud, ShadowCache};
 pub use shadow_light::{Beam, Lamp, LampError, ShadowLight, ShadowLightConfig};
