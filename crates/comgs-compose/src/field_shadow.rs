@@ -9,11 +9,12 @@
 //! b the small strong lights and lamps, to which a few rays are traced. Numerator and denominator use the same terms, so S
 //! is in [0, 1] whatever the light.
 
-use crate::occlusion_field::{OcclusionField, grid};
+use crate::occlusion_field::{FieldConfig, FieldError, OcclusionField, grid};
 use crate::shadow::DARK;
 use crate::shadow_light::{Beam, ShadowLight};
 use comgs_geom::{Similarity, octahedral};
-use comgs_trace::Tracer;
+use comgs_surfel::SurfelCloud;
+use comgs_trace::{TraceConfig, Tracer};
 use glam::{DQuat, Vec3};
 use rayon::prelude::*;
 
@@ -38,9 +39,40 @@ pub enum StrongFrom {
     Position(Vec3),
 }
 
+/// An object that casts shadows: its field for smooth light, its tracer for strong lights, both in its own space, where
+/// they are made once.
+#[derive(Clone, Debug)]
+pub struct Caster {
+    /// What it occludes.
+    pub field: OcclusionField,
+    /// The object itself.
+    pub tracer: Tracer,
+}
+
+impl Caster {
+    /// Bakes an object, or takes a field that was baked before.
+    ///
+    /// # Errors
+    /// [`FieldError`].
+    pub fn new(
+        cloud: &SurfelCloud,
+        config: FieldConfig,
+        baked: Option<OcclusionField>,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Self, FieldError> {
+        let field = match baked {
+            Some(field) => field,
+            None => OcclusionField::bake(cloud, config, cancelled)?,
+        };
+        Ok(Self { field, tracer: Tracer::new(cloud, &TraceConfig::occlusion())? })
+    }
+}
+
 /// A field where its object stands, with what a lookup needs for every direction of a light's grid.
 struct PlacedField<'a> {
     field: &'a OcclusionField,
+    tracer: &'a Tracer,
+    object_from_world: Similarity,
     centre: Vec3,
     radius: f32,
     directions: Vec<Lookup>,
@@ -56,7 +88,8 @@ struct Lookup {
 }
 
 impl<'a> PlacedField<'a> {
-    fn new(field: &'a OcclusionField, world_from_object: &Similarity, light: &ShadowLight) -> Self {
+    fn new(caster: &'a Caster, world_from_object: &Similarity, light: &ShadowLight) -> Self {
+        let field = &caster.field;
         let (centre, radius) = field.sphere();
         let centre = world_from_object.transform_point(centre.as_dvec3()).as_vec3();
         let radius = radius * world_from_object.scale as f32;
@@ -74,7 +107,19 @@ impl<'a> PlacedField<'a> {
                 Lookup { towards: to_world(own.towards), u: to_world(own.u), v: to_world(own.v), projection }
             })
             .collect();
-        Self { field, centre, radius, directions }
+        let object_from_world = world_from_object.inverse();
+        Self { field, tracer: &caster.tracer, object_from_world, centre, radius, directions }
+    }
+
+    /// Traced transmittance of a world ray with unit direction. Its parameter scales with the object.
+    fn transmittance(&self, origin: Vec3, direction: Vec3, t_max: f32) -> f32 {
+        if !meets(origin, direction, self.centre, self.radius, t_max) {
+            return 1.0;
+        }
+        let s = &self.object_from_world;
+        let own = s.transform_point(origin.as_dvec3()).as_vec3();
+        let direction = s.rotation.as_quat() * direction;
+        self.tracer.transmittance(own, direction, 0.0, t_max * s.scale as f32)
     }
 }
 
@@ -82,7 +127,6 @@ impl<'a> PlacedField<'a> {
 pub struct FieldShadow<'a> {
     light: &'a ShadowLight,
     objects: Vec<PlacedField<'a>>,
-    tracer: &'a Tracer,
     /// World directions of the grid with some energy, and their numbers.
     directions: Vec<(usize, Vec3, Vec3)>,
 }
@@ -92,14 +136,9 @@ const CHUNK: usize = 64;
 
 impl<'a> FieldShadow<'a> {
     /// * `light`: its grid should be turned with the first object ([`grid_turn`]) and have the side of its field
-    /// * `objects`: fields and where their objects stand
-    /// * `tracer`: of all objects merged in world space, for the strong lights
+    /// * `objects`: what casts shadows and where it stands
     #[must_use]
-    pub fn new(
-        light: &'a ShadowLight,
-        objects: &[(&'a OcclusionField, Similarity)],
-        tracer: &'a Tracer,
-    ) -> Self {
+    pub fn new(light: &'a ShadowLight, objects: &[(&'a Caster, Similarity)]) -> Self {
         let directions = light
             .directions()
             .into_iter()
@@ -109,7 +148,7 @@ impl<'a> FieldShadow<'a> {
             .map(|(k, (d, e))| (k, d, *e))
             .collect();
         let objects = objects.iter().map(|(f, s)| PlacedField::new(f, s, light)).collect();
-        Self { light, objects, tracer, directions }
+        Self { light, objects, directions }
     }
 
     /// Light that arrives without objects, and with them, of the smooth grid.
@@ -150,8 +189,7 @@ impl<'a> FieldShadow<'a> {
                 return;
             }
             *lit += light * cosine;
-            let meets = self.objects.iter().any(|o| meets(point, towards, o.centre, o.radius, t_max));
-            let t = if meets { self.tracer.transmittance(point, towards, 0.0, t_max) } else { 1.0 };
+            let t: f32 = self.objects.iter().map(|o| o.transmittance(point, towards, t_max)).product();
             *kept += light * cosine * t;
         };
         for beam in &self.light.beams {

@@ -25,8 +25,8 @@ pub mod shadow_cache;
 pub mod shadow_light;
 
 pub use denoise::{AtrousConfig, Denoise};
-pub use field_shadow::{FieldShadow, ShadowRatios, StrongFrom, grid_turn};
-pub use frame::{ComposeConfig, ComposeError, ComposedFrame, Composer};
+pub use field_shadow::{Caster, FieldShadow, ShadowRatios, StrongFrom, grid_turn};
+pub use frame::{ComposeConfig, ComposeError, ComposedFrame, Composer, ObjectShader, ShadowSource};
 pub use objects::{PlacedObject, merge};
 pub use occlusion_field::{FieldConfig, FieldError, OcclusionField};
 pub use over::Ordering;

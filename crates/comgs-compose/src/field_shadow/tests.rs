@@ -2,15 +2,13 @@
 
 use super::*;
 use crate::objects::{PlacedObject, merge};
-use crate::occlusion_field::FieldConfig;
 use crate::receivers::Receivers;
 use crate::shadow::{Occluder, ShadowConfig, trace_shadow};
 use crate::shadow_light::{Lamp, ShadowLightConfig};
 use comgs_geom::sampling::{hammersley, uniform_sphere};
 use comgs_image::Image;
 use comgs_light::{EnvironmentMap, EnvironmentSampler};
-use comgs_surfel::{ColorEncoding, SurfelCloud, activation::logit};
-use comgs_trace::TraceConfig;
+use comgs_surfel::{ColorEncoding, activation::logit};
 use glam::{DVec3, Vec2};
 
 fn ball() -> SurfelCloud {
@@ -28,8 +26,8 @@ fn ball() -> SurfelCloud {
     cloud
 }
 
-fn field(cloud: &SurfelCloud) -> OcclusionField {
-    OcclusionField::bake(cloud, FieldConfig::default(), &|| false).unwrap()
+fn caster(cloud: &SurfelCloud) -> Caster {
+    Caster::new(cloud, FieldConfig::default(), None, &|| false).unwrap()
 }
 
 fn at(p: DVec3, scale: f64, rotation: DQuat) -> Similarity {
@@ -47,17 +45,15 @@ fn light(map: &EnvironmentMap, lamps: &[Lamp], places: &[Similarity]) -> ShadowL
 }
 
 fn ratios(
-    cloud: &SurfelCloud,
-    field: &OcclusionField,
+    field: &Caster,
     map: &EnvironmentMap,
     lamps: &[Lamp],
     places: &[Similarity],
     points: &[Vec3],
 ) -> Vec<Vec3> {
     let light = light(map, lamps, places);
-    let tracer = world_tracer(cloud, places);
     let fields: Vec<_> = places.iter().map(|&s| (field, s)).collect();
-    FieldShadow::new(&light, &fields, &tracer).ratios(points, &vec![Vec3::Z; points.len()])
+    FieldShadow::new(&light, &fields).ratios(points, &vec![Vec3::Z; points.len()])
 }
 
 /// Goal: under constant light a ball at height h over a floor leaves 1 − (r/h)² beneath it (paper answer), at any
@@ -65,7 +61,7 @@ fn ratios(
 #[test]
 fn a_ball_over_a_floor_is_analytic_under_any_similarity() {
     let cloud = ball();
-    let field = field(&cloud);
+    let field = caster(&cloud);
     let map = EnvironmentMap::constant(Vec3::new(1.0, 0.5, 0.2));
     // The shell's surfels reach half a standard deviation beyond the sphere on average.
     let shell = 0.5;
@@ -75,7 +71,7 @@ fn a_ball_over_a_floor_is_analytic_under_any_similarity() {
         (2.0, 1.3, DQuat::from_rotation_z(0.4)),
     ] {
         let s = at(DVec3::new(0.3, -0.2, h), scale, turn);
-        let got = ratios(&cloud, &field, &map, &[], &[s], &[Vec3::new(0.3, -0.2, 0.0)])[0];
+        let got = ratios(&field, &map, &[], &[s], &[Vec3::new(0.3, -0.2, 0.0)])[0];
         let expected = 1.0 - (shell * scale / h).powi(2) as f32;
         assert!((got - expected).abs().max_element() < 0.03, "scale {scale} height {h}: {got} {expected}");
     }
@@ -116,7 +112,7 @@ impl Occluder for Traced<'_> {
 #[test]
 fn hard_case_32_two_objects_agree_with_converged_rays() {
     let cloud = ball();
-    let field = field(&cloud);
+    let field = caster(&cloud);
     let map = sunny();
     let places = [
         at(DVec3::new(0.0, 0.0, 0.5), 1.0, DQuat::from_rotation_y(0.3)),
@@ -125,7 +121,7 @@ fn hard_case_32_two_objects_agree_with_converged_rays() {
     let n = 24;
     let points: Vec<Vec3> =
         (0..n * n).map(|i| Vec3::new((i % n) as f32 / 6.0 - 2.4, (i / n) as f32 / 6.0 - 2.0, 0.0)).collect();
-    let got = ratios(&cloud, &field, &map, &[], &places, &points);
+    let got = ratios(&field, &map, &[], &places, &points);
     let tracer = world_tracer(&cloud, &places);
     let receivers = Receivers { width: n, height: n, points: points.clone(), normals: vec![Vec3::Z; n * n] };
     let config = ShadowConfig { rays: 8192, ..ShadowConfig::default() };
@@ -150,7 +146,7 @@ fn hard_case_32_two_objects_agree_with_converged_rays() {
 #[test]
 fn hard_case_32_two_lamps_overlap() {
     let cloud = ball();
-    let field = field(&cloud);
+    let field = caster(&cloud);
     let black = EnvironmentMap::constant(Vec3::ZERO);
     let lamp = |x: f32, z: f32, i: f32| Lamp::Point {
         position: Vec3::new(x, 0.0, z),
@@ -160,7 +156,7 @@ fn hard_case_32_two_lamps_overlap() {
     let s = at(DVec3::new(0.0, 0.0, 1.0), 1.0, DQuat::IDENTITY);
     let lamps = [lamp(-2.0, 3.0, 4.0), lamp(2.0, 3.0, 1.0)];
     let points = [Vec3::new(1.0, 0.0, 0.0), Vec3::new(-1.0, 0.0, 0.0), Vec3::new(0.0, 3.0, 0.0)];
-    let got = ratios(&cloud, &field, &black, &lamps, &[s], &points);
+    let got = ratios(&field, &black, &lamps, &[s], &points);
     let irradiance = |p: Vec3, l: &Lamp| {
         let Lamp::Point { position, intensity, .. } = l else { panic!() };
         let d = *position - p;
@@ -175,10 +171,10 @@ fn hard_case_32_two_lamps_overlap() {
     assert_eq!(got[2], Vec3::ONE);
     // Straight beneath the ball both are blocked when they stand above it.
     let above = [lamp(-0.2, 4.0, 4.0), lamp(0.2, 4.0, 1.0)];
-    let both = ratios(&cloud, &field, &black, &above, &[s], &[Vec3::ZERO])[0];
+    let both = ratios(&field, &black, &above, &[s], &[Vec3::ZERO])[0];
     assert!(both.max_element() < 0.02, "{both}");
     // A lamp under the ball: the ball is behind it.
-    let under = ratios(&cloud, &field, &black, &[lamp(0.0, 0.3, 1.0)], &[s], &[Vec3::ZERO])[0];
+    let under = ratios(&field, &black, &[lamp(0.0, 0.3, 1.0)], &[s], &[Vec3::ZERO])[0];
     assert_eq!(under, Vec3::ONE);
 }
 
@@ -187,16 +183,16 @@ fn hard_case_32_two_lamps_overlap() {
 #[test]
 fn hard_cases_25_26_black_and_hot_lights() {
     let cloud = ball();
-    let field = field(&cloud);
+    let field = caster(&cloud);
     let s = at(DVec3::new(0.0, 0.0, 0.6), 1.0, DQuat::IDENTITY);
     let points: Vec<Vec3> = (0..50).map(|i| Vec3::new(i as f32 * 0.05 - 1.2, 0.01, 0.0)).collect();
-    let black = ratios(&cloud, &field, &EnvironmentMap::constant(Vec3::ZERO), &[], &[s], &points);
+    let black = ratios(&field, &EnvironmentMap::constant(Vec3::ZERO), &[], &[s], &points);
     assert!(black.iter().all(|r| *r == Vec3::ONE));
     for (x, y) in [(0, 0), (40, 10), (100, 40)] {
         let mut image = Image::filled(128, 64, 3, 1e-3);
         image.pixel_mut(x, y).copy_from_slice(&[1e5, 1e5, 0.0]);
         let map = EnvironmentMap::from_image(&image).unwrap();
-        for r in ratios(&cloud, &field, &map, &[], &[s], &points) {
+        for r in ratios(&field, &map, &[], &[s], &points) {
             assert!(r.is_finite() && r.min_element() >= 0.0 && r.max_element() <= 1.0, "{r}");
         }
     }
