@@ -5,6 +5,7 @@
 
 //! Arguments and help. Help teaches: every command says what it makes and shows how it is called.
 
+mod editing;
 mod frames;
 mod judges;
 mod objects;
@@ -13,6 +14,7 @@ mod synth;
 
 use clap::{Parser, Subcommand, ValueEnum};
 
+pub(crate) use editing::{Animate, Editing, Plan, RelightObjects, Shadow, ShadowFrom};
 pub(crate) use frames::{Compose, Relight, Render, SelfShadow};
 pub(crate) use judges::{Ablate, AblateWhat, Eval};
 pub(crate) use objects::{Decompose, Export, Material, Preset, Reconstruct, Visibility};
@@ -67,6 +69,9 @@ pub(crate) enum Command {
     Render(Render),
     Relight(Relight),
     Compose(Compose),
+    Shadow(Shadow),
+    Plan(Plan),
+    Animate(Animate),
     Material(Material),
     Eval(Eval),
     Ablate(Ablate),

@@ -1,5 +1,7 @@
 //! From arguments to stages, and from their results to what is printed.
 
+mod editing;
+
 use crate::args::{self, Cli, Command};
 use crate::output::{say, write};
 use crate::terminal::Terminal;
@@ -7,8 +9,7 @@ use anyhow::{Context as _, bail};
 use clap::CommandFactory;
 use comgs_inverse::{AlbedoScale, Kind, Quality, Visibility};
 use comgs_pipeline::stages::{
-    ablate, compose, decompose, demo, eval, export, info, light, material, place, reconstruct, relight,
-    render, synth,
+    ablate, compose, decompose, demo, eval, export, info, light, material, place, reconstruct, relight, synth,
 };
 use comgs_pipeline::{CancelToken, Context};
 use comgs_scene::{CheckDepth, check_with};
@@ -66,7 +67,10 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Decompose(a) => run_decompose(a, &context)?,
         Command::Place(a) => run_place(a, &context)?,
         Command::Light(a) => run_light(a, &context)?,
-        Command::Render(a) => run_render(a, &context)?,
+        Command::Render(a) => editing::run_render(a, &context)?,
+        Command::Shadow(a) => editing::run_shadow(a, &context)?,
+        Command::Plan(a) => editing::run_plan(a, &context)?,
+        Command::Animate(a) => editing::run_animate(a, &context)?,
         Command::Relight(a) => run_relight(a, &context)?,
         Command::Compose(a) => run_compose(a, &context)?,
         Command::Material(a) => run_material(a, &context)?,
@@ -181,14 +185,6 @@ fn run_light(a: &args::Light, context: &Context<'_>) -> anyhow::Result<()> {
     for path in [&made.environment, &made.pictures.environment, &made.pictures.sweep, &made.pictures.alpha] {
         say!("{}", path.display());
     }
-    Ok(())
-}
-
-fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Result<()> {
-    let input =
-        render::Input { asset: a.asset.clone(), cameras: a.cameras.clone(), output: a.output.clone() };
-    render::run(&input, &render::Config { layers: a.layers }, context)?;
-    say!("{}", a.output.join("frames").display());
     Ok(())
 }
 

@@ -15,10 +15,9 @@
 //!
 //! This is percentage-closer shadow mapping (Reeves et al. 1987) with a light in every direction at once. It is exact for
 //! an opaque object up to the two resolutions; what is half transparent *and* has the point between its sheets is rounded
-//! to the sheet that holds half of the opacity. A direction between grid directions takes the nearest one: the light's
-//! texels are integrated over the same grid ([`crate::shadow_light`]), so no energy is lost, and shadows of a light that is
-//! spread over a few texels are blurred by their 4° or so; smaller lights are split off ([`comgs_light::LightSplit`]) and
-//! traced.
+//! to the sheet that holds half of the opacity. A direction between grid directions takes the nearest projection, met where
+//! the ray crosses the plane through the object's middle ([`crate::field_shadow`]): what is wrong then is a parallax within the
+//! object, not a shift of the whole shadow. Small strong lights are split off ([`comgs_light::LightSplit`]) and traced.
 //!
 //! Measured alternatives are in `docs/shadows.md`.
 
@@ -28,9 +27,9 @@ pub use serial::{FieldFormatError, from_bytes, to_bytes};
 
 use crate::objects::bounding_sphere;
 use comgs_geom::{frame::world_from_tangent, octahedral};
-use comgs_surfel::SurfelCloud;
+use comgs_surfel::{SurfelCloud, activation::sigmoid};
 use comgs_trace::Tracer;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use thiserror::Error;
 
@@ -49,9 +48,9 @@ pub struct FieldConfig {
 }
 
 impl Default for FieldConfig {
-    /// 24² directions of 48² pixels, 5.3 MB: the knee of the curve in `docs/shadows.md`.
+    /// 16² directions of 64² pixels, 4.2 MB: the knee of the curve in `docs/shadows.md`.
     fn default() -> Self {
-        Self { directions: 24, resolution: 48 }
+        Self { directions: 16, resolution: 64 }
     }
 }
 
@@ -94,9 +93,21 @@ pub struct OcclusionField {
     config: FieldConfig,
     centre: Vec3,
     radius: f32,
+    /// What part of the sphere's disc a direction's projection shows.
+    windows: Vec<Window>,
     /// `[direction][row · resolution + column]`: opacity and depth of the surface on the light's side, each over its range
     /// in 16 bits.
     texels: Vec<[u16; 2]>,
+}
+
+/// The rectangle of a projection that the object fills, in radii of the sphere about its centre: pixels are not spent on the
+/// air around a long thing. Both directions of a line have the same.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Window {
+    /// Middle along the two axes.
+    pub middle: [f32; 2],
+    /// Half of the extent along the two axes, above 0.
+    pub half: [f32; 2],
 }
 
 /// A direction of the grid with the axes of its projection. The two directions of a line have the same axes, so that their
@@ -168,17 +179,22 @@ impl OcclusionField {
                 if cancelled() {
                     return None;
                 }
-                Some(project(&tracer, &directions[k], centre, radius, res))
+                let window = window(cloud, &directions[k], centre, radius);
+                let (forth, back) = project(&tracer, &directions[k], &window, centre, radius, res);
+                Some((window, forth, back))
             })
             .collect();
         let baked = baked.ok_or(FieldError::Cancelled)?;
         let mut texels = vec![[0u16; 2]; side * side * res * res];
+        let mut windows = vec![Window { middle: [0.0; 2], half: [1.0; 2] }; side * side];
         let slice = |k: usize| k * res * res..(k + 1) * res * res;
-        for (&k, (forth, back)) in pairs.iter().zip(&baked) {
+        for (&k, (window, forth, back)) in pairs.iter().zip(&baked) {
+            windows[k] = *window;
+            windows[opposite(k, side)] = *window;
             texels[slice(k)].copy_from_slice(forth);
             texels[slice(opposite(k, side))].copy_from_slice(back);
         }
-        Ok(Self { config, centre, radius, texels })
+        Ok(Self { config, centre, radius, windows, texels })
     }
 
     /// Its resolutions.
@@ -205,8 +221,13 @@ impl OcclusionField {
         &self.texels[direction * size..(direction + 1) * size]
     }
 
-    /// Share of light from direction `k` of [`grid`] that the object hides from a point with projected place `q` (in
-    /// [−1, 1]²) and depth `t`, in [0, 1]; 0 outside of the projection.
+    /// The window of one direction's projection.
+    pub(crate) fn window(&self, direction: usize) -> Window {
+        self.windows[direction]
+    }
+
+    /// Share of light from a direction that the object hides from a point with place `q` in the direction's window ([−1, 1]²)
+    /// and depth `t`, in [0, 1]; 0 outside of the window.
     #[inline]
     pub(crate) fn occlusion_at(projection: &[[u16; 2]], res: usize, qx: f32, qy: f32, t: f32) -> f32 {
         let scale = 0.5 * res as f32;
@@ -239,15 +260,48 @@ impl OcclusionField {
         let k = octahedral::texel_of(direction, side);
         let axes = world_from_tangent(towards(opposite(k, side).min(k), side));
         let p = (point - self.centre) / self.radius;
-        let (x, y, t) = (axes.x_axis.dot(p), axes.y_axis.dot(p), towards(k, side).dot(p));
+        let Window { middle, half } = self.windows[k];
+        let x = (axes.x_axis.dot(p) - middle[0]) / half[0];
+        let y = (axes.y_axis.dot(p) - middle[1]) / half[1];
+        let t = towards(k, side).dot(p);
         1.0 - Self::occlusion_at(self.projection(k), self.config.resolution, x, y, t)
     }
+}
+
+/// Opacity from which on a surfel widens the window: a faint floater far out must not.
+const WINDOW_OPACITY: f32 = 0.1;
+/// Standard deviations of a surfel that the window holds.
+const WINDOW_SIGMAS: f32 = 2.5;
+
+/// The rectangle that a cloud fills along a direction, a hundredth wider.
+fn window(cloud: &SurfelCloud, direction: &FieldDirection, centre: Vec3, radius: f32) -> Window {
+    let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
+    for i in 0..cloud.len() {
+        let p = Vec3::from_array(cloud.positions[i]);
+        if !(sigmoid(cloud.opacity_logits[i]) > WINDOW_OPACITY) || !p.is_finite() {
+            continue;
+        }
+        let axes = cloud.rotation(i);
+        let [a, b] = cloud.log_scales[i].map(|s| WINDOW_SIGMAS * s.exp());
+        let spread = |axis: Vec3| (a * axes.x_axis.dot(axis)).hypot(b * axes.y_axis.dot(axis));
+        let middle = Vec2::new(direction.u.dot(p - centre), direction.v.dot(p - centre));
+        let reach = Vec2::new(spread(direction.u), spread(direction.v));
+        low = low.min(middle - reach);
+        high = high.max(middle + reach);
+    }
+    if !(low.is_finite() && high.is_finite()) {
+        return Window { middle: [0.0; 2], half: [1.0; 2] };
+    }
+    let (low, high) = ((low / radius).max(Vec2::NEG_ONE), (high / radius).min(Vec2::ONE));
+    let half = (0.505 * (high - low)).max(Vec2::splat(1e-3));
+    Window { middle: (0.5 * (low + high)).to_array(), half: half.to_array() }
 }
 
 /// The projections along a direction and against it.
 fn project(
     tracer: &Tracer,
     direction: &FieldDirection,
+    window: &Window,
     centre: Vec3,
     radius: f32,
     res: usize,
@@ -256,7 +310,8 @@ fn project(
     let mut back = forth.clone();
     for i in 0..res * res {
         let q = |k: usize| (k as f32 + 0.5) * 2.0 / res as f32 - 1.0;
-        let (x, y) = (q(i % res), q(i / res));
+        let x = window.middle[0] + window.half[0] * q(i % res);
+        let y = window.middle[1] + window.half[1] * q(i / res);
         if x * x + y * y > 1.0 {
             continue;
         }

@@ -1,9 +1,11 @@
 //! The stages, one module each, in the order of the flow.
 
 pub mod ablate;
+pub mod animate;
 pub mod compose;
 pub mod decompose;
 pub mod demo;
+pub mod editing;
 pub mod eval;
 pub mod export;
 pub mod info;
@@ -13,6 +15,8 @@ pub mod place;
 pub mod reconstruct;
 pub mod relight;
 pub mod render;
+pub mod render_composition;
+pub mod shadow;
 pub mod synth;
 
 pub(crate) mod frames;

@@ -20,7 +20,7 @@ pub use capture::{
     Capture, CheckDepth, CheckReport, Format, LoadOptions, OpenOptions, Problem, ProblemKind, Severity, Size,
     Split, View, ViewRecord, check, check_with,
 };
-pub use composition::{CompositionRecord, EffectPolicy, ObjectRecord, ShadowPolicy};
+pub use composition::{CompositionRecord, EffectPolicy, LampRecord, ObjectRecord, ShadowPolicy};
 pub use error::SceneError;
 pub use transform_file::TransformFile;
 pub use undistort::undistort_image;

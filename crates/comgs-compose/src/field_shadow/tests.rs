@@ -9,7 +9,7 @@ use comgs_geom::sampling::{hammersley, uniform_sphere};
 use comgs_image::Image;
 use comgs_light::{EnvironmentMap, EnvironmentSampler};
 use comgs_surfel::{ColorEncoding, activation::logit};
-use glam::{DVec3, Vec2};
+use glam::{DQuat, DVec3, Vec2};
 
 fn ball() -> SurfelCloud {
     let mut cloud = SurfelCloud::empty(0, ColorEncoding::Linear);
@@ -40,8 +40,9 @@ fn world_tracer(cloud: &SurfelCloud, places: &[Similarity]) -> Tracer {
     Tracer::new(&merge(&placed).unwrap(), &TraceConfig::occlusion()).unwrap()
 }
 
-fn light(map: &EnvironmentMap, lamps: &[Lamp], places: &[Similarity]) -> ShadowLight {
-    ShadowLight::new(map, lamps, grid_turn(places), &ShadowLightConfig::default()).unwrap()
+fn light(map: &EnvironmentMap, lamps: &[Lamp]) -> ShadowLight {
+    ShadowLight::new(map, lamps, &ShadowLightConfig { directions: 1024, ..ShadowLightConfig::default() })
+        .unwrap()
 }
 
 fn ratios(
@@ -51,7 +52,7 @@ fn ratios(
     places: &[Similarity],
     points: &[Vec3],
 ) -> Vec<Vec3> {
-    let light = light(map, lamps, places);
+    let light = light(map, lamps);
     let fields: Vec<_> = places.iter().map(|&s| (field, s)).collect();
     FieldShadow::new(&light, &fields).ratios(points, &vec![Vec3::Z; points.len()])
 }
@@ -196,4 +197,25 @@ fn hard_cases_25_26_black_and_hot_lights() {
             assert!(r.is_finite() && r.min_element() >= 0.0 && r.max_element() <= 1.0, "{r}");
         }
     }
+}
+
+/// Goal: an object as bright as the light around it hides nothing on balance: under constant light of radiance L, a ball of
+/// radiance L leaves the ratio at 1 (paper answer), one of 2 L raises it by what it hides, a red one tints it.
+#[test]
+fn bounced_light_balances_what_is_hidden() {
+    let cloud = ball();
+    let caster = caster(&cloud);
+    let map = EnvironmentMap::constant(Vec3::ONE);
+    let light = light(&map, &[]);
+    let s = at(DVec3::new(0.0, 0.0, 0.8), 1.0, DQuat::IDENTITY);
+    let of = |radiance: Vec3| {
+        let shadow = FieldShadow::new(&light, &[(&caster, s)]).with_bounce(|_, _| radiance);
+        shadow.ratios(&[Vec3::new(0.1, 0.0, 0.0)], &[Vec3::Z])[0]
+    };
+    let dark = of(Vec3::ZERO).x;
+    assert!(dark < 0.75, "{dark}");
+    assert!((of(Vec3::ONE) - Vec3::ONE).abs().max_element() < 0.01, "{}", of(Vec3::ONE));
+    assert!((of(2.0 * Vec3::ONE).x - (2.0 - dark)).abs() < 0.02);
+    let red = of(Vec3::new(0.8, 0.1, 0.1));
+    assert!(red.x > red.y + 0.1 && red.y == red.z);
 }

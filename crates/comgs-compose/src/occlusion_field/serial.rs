@@ -1,6 +1,6 @@
 //! A field as bytes.
 
-use super::{FieldConfig, OcclusionField};
+use super::{FieldConfig, OcclusionField, Window};
 use glam::Vec3;
 use thiserror::Error;
 
@@ -15,7 +15,7 @@ const HEADER: usize = 8 + 2 * 4 + 4 * 4;
 pub struct FieldFormatError(String);
 
 /// Bytes of a field, little endian: `comgsOF` and the version 1, sides of direction grid and projections (u32), centre and
-/// radius (f32), then opacity and depth (u16) of every pixel of every direction. The same field gives the same bytes.
+/// radius (f32), middle and half extent of every direction's window (f32 × 4), then opacity and depth (u16) of every pixel of every direction. The same field gives the same bytes.
 /// Inverse: [`from_bytes`].
 #[must_use]
 pub fn to_bytes(field: &OcclusionField) -> Vec<u8> {
@@ -25,6 +25,9 @@ pub fn to_bytes(field: &OcclusionField) -> Vec<u8> {
         bytes.extend((side as u32).to_le_bytes());
     }
     for v in [field.centre.x, field.centre.y, field.centre.z, field.radius] {
+        bytes.extend(v.to_le_bytes());
+    }
+    for v in field.windows.iter().flat_map(|w| [w.middle, w.half]).flatten() {
         bytes.extend(v.to_le_bytes());
     }
     for value in field.texels.as_flattened() {
@@ -56,8 +59,27 @@ pub fn from_bytes(bytes: &[u8]) -> Result<OcclusionField, FieldFormatError> {
         return fail(problems.join("; "));
     }
     let texels = config.directions.pow(2) * config.resolution.pow(2);
-    if body.len() != 4 * texels {
-        return fail(format!("{} bytes of projections, expected {}", body.len(), 4 * texels));
+    let directions = config.directions.pow(2);
+    if body.len() != 16 * directions + 4 * texels {
+        let expected = 16 * directions + 4 * texels;
+        return fail(format!("{} bytes of projections, expected {expected}", body.len()));
+    }
+    let (windows, body) = body.split_at(16 * directions);
+    let number = |bytes: &[u8]| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+    let windows: Vec<Window> = windows
+        .as_chunks::<16>()
+        .0
+        .iter()
+        .map(|w| Window {
+            middle: [number(&w[0..]), number(&w[4..])],
+            half: [number(&w[8..]), number(&w[12..])],
+        })
+        .collect();
+    let sound = |w: &Window| {
+        w.middle.iter().all(|v| v.is_finite()) && w.half.iter().all(|v| *v > 0.0 && v.is_finite())
+    };
+    if let Some(bad) = windows.iter().position(|w| !sound(w)) {
+        return fail(format!("the window of direction {bad} is {:?}", windows[bad]));
     }
     let float = |i: usize| f32::from_le_bytes(word(16 + 4 * i));
     let (centre, radius) = (Vec3::new(float(0), float(1), float(2)), float(3));
@@ -70,5 +92,5 @@ pub fn from_bytes(bytes: &[u8]) -> Result<OcclusionField, FieldFormatError> {
         .iter()
         .map(|c| [u16::from_le_bytes([c[0], c[1]]), u16::from_le_bytes([c[2], c[3]])])
         .collect();
-    Ok(OcclusionField { config, centre, radius, texels })
+    Ok(OcclusionField { config, centre, radius, windows, texels })
 }
