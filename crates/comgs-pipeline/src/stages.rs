@@ -12,6 +12,7 @@ pub mod info;
 pub mod light;
 pub mod material;
 pub mod place;
+pub mod plan;
 pub mod reconstruct;
 pub mod relight;
 pub mod render;

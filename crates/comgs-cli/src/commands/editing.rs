@@ -24,6 +24,7 @@ fn settings(a: &args::Editing) -> Settings {
         self_occlusion: on(a.self_occlusion),
         indirect: on(a.indirect),
         bounce: on(a.bounce),
+        near_only: false,
         seed: a.seed,
     }
 }

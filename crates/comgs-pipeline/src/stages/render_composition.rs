@@ -160,6 +160,10 @@ impl<'a> Renderer<'a> {
             (Shadow::Probes, _) => scene_probes(composition, ground, receivers)?,
             _ => None,
         };
+        let exact = match exact {
+            Some(all) if settings.near_only => Some(Box::new(NearOnly(all)) as Box<dyn ShadowRatios + 'a>),
+            other => other,
+        };
         let spent = start.elapsed().as_secs_f64();
         match shadow {
             Shadow::Probes => prepared.probes_s = spent,
@@ -196,6 +200,34 @@ impl<'a> Renderer<'a> {
     /// Shadows, as they came out.
     pub fn shadow(&self) -> Shadow {
         self.shadow
+    }
+}
+
+/// Shadows beyond this many radii are far.
+const NEAR: f32 = 6.0;
+
+/// Ratios within a few radii of what casts them.
+struct NearOnly<'a>(Box<dyn ShadowRatios + 'a>);
+
+impl ShadowRatios for NearOnly<'_> {
+    fn ratios(&self, points: &[Vec3], normals: &[Vec3]) -> Vec<Vec3> {
+        let spheres = self.0.spheres();
+        let near = |p: &Vec3| spheres.iter().any(|(c, r)| (*p - *c).length() < NEAR * r);
+        let mut ratios = self.0.ratios(points, normals);
+        for (p, ratio) in points.iter().zip(&mut ratios) {
+            if !near(p) {
+                *ratio = Vec3::ONE;
+            }
+        }
+        ratios
+    }
+
+    fn spheres(&self) -> Vec<(Vec3, f32)> {
+        self.0.spheres()
+    }
+
+    fn strong(&self) -> Vec<comgs_compose::StrongFrom> {
+        self.0.strong()
     }
 }
 

@@ -43,6 +43,8 @@ pub struct Settings {
     pub indirect: bool,
     /// Light that the objects throw back on the scene.
     pub bounce: bool,
+    /// Leave out shadows beyond a few radii of the objects.
+    pub near_only: bool,
     /// Seed.
     pub seed: u64,
 }
@@ -56,6 +58,7 @@ impl Default for Settings {
             self_occlusion: true,
             indirect: false,
             bounce: false,
+            near_only: false,
             seed: 0,
         }
     }

@@ -2,6 +2,7 @@
 
 use super::{Ground, Renderer, cache_json, receivers};
 use crate::stages::editing::{Composition, Settings, Shadow, bake};
+use crate::stages::plan::Plan;
 use crate::{Context, PipelineError, Run, RunRecord, Status, output};
 use comgs_compose::{ComposedFrame, layers::write_frame_layers};
 use comgs_image::write_png;
@@ -33,6 +34,9 @@ pub struct Config {
     pub settings: Settings,
     /// One multilayer EXR a frame.
     pub layers: bool,
+    /// The plan that the settings come from; recorded, so that estimate and outcome stand beside each other.
+    #[serde(skip)]
+    pub plan: Option<Plan>,
 }
 
 /// What came out.
@@ -80,6 +84,9 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         run.time("trees", || Tracer::new(&composition.scene.surfels, &TraceConfig::default()))?;
     for warning in composition.placement_warnings(&scene_tracer) {
         run.warn(context, warning);
+    }
+    if let Some(shortfall) = config.plan.as_ref().and_then(|p| p.shortfall.clone()) {
+        run.warn(context, shortfall);
     }
     let shadow = if composition.wants_shadow() { settings.shadow } else { Shadow::None };
     let baked = match shadow {
@@ -156,7 +163,18 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         run.add_time(stage, seconds, false);
     }
     let cache = renderer.cache();
+    let spent = run.timings().iter().map(|t| t.seconds).sum::<f64>();
+    let planned = config.plan.as_ref().map(|plan| {
+        json!({
+            "lines": plan.lines,
+            "estimated_s": plan.seconds,
+            "outcome_s": spent,
+            "plan_s": plan.plan_s,
+            "shortfall": plan.shortfall,
+        })
+    });
     run.results(json!({
+        "plan": planned,
         "frames": totals.frames,
         "frame_ms": 1e3 * totals.seconds / n,
         "raster_ms": 1e3 * totals.raster_s / n,
