@@ -14,7 +14,9 @@ mod synth;
 
 use clap::{Parser, Subcommand, ValueEnum};
 
-pub(crate) use editing::{Animate, Editing, Plan, RelightObjects, Shadow, ShadowFrom};
+pub(crate) use editing::{
+    Animate, Editing, Plan, RelightObjects, Shadow, ShadowFrom, Tradeoff, TradeoffWhat,
+};
 pub(crate) use frames::{Compose, Relight, Render, SelfShadow};
 pub(crate) use judges::{Ablate, AblateWhat, Eval};
 pub(crate) use objects::{Decompose, Export, Material, Preset, Reconstruct, Visibility};
@@ -75,6 +77,7 @@ pub(crate) enum Command {
     Material(Material),
     Eval(Eval),
     Ablate(Ablate),
+    Tradeoff(Tradeoff),
     Export(Export),
     Synth(Synth),
     Demo(Demo),

@@ -76,6 +76,7 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Material(a) => run_material(a, &context)?,
         Command::Eval(a) => run_eval(a, &context)?,
         Command::Ablate(a) => run_ablate(a, &context)?,
+        Command::Tradeoff(a) => editing::run_tradeoff(a, &context)?,
         Command::Synth(a) => run_synth(a, &context)?,
         Command::Demo(a) => run_demo(a, &context)?,
         Command::Export(a) => run_export(a, &context)?,

@@ -15,7 +15,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-const COMMANDS: [&str; 14] = [
+const COMMANDS: [&str; 18] = [
     "reconstruct",
     "decompose",
     "relight",
@@ -24,6 +24,10 @@ const COMMANDS: [&str; 14] = [
     "light",
     "render",
     "compose",
+    "shadow",
+    "plan",
+    "animate",
+    "tradeoff",
     "eval",
     "ablate",
     "export",
@@ -78,7 +82,13 @@ fn promised_flags_exist() {
         ),
         ("place", &["--scene", "--object", "--at", "--pixel", "--size", "--yaw", "--output"]),
         ("light", &["--scene", "--at", "--output", "--completion"]),
-        ("render", &["--cameras", "--output", "--layers"]),
+        (
+            "render",
+            &["--cameras", "--output", "--layers", "--composition", "--shadow", "--tolerance", "--budget"],
+        ),
+        ("shadow", &["--composition", "--output"]),
+        ("plan", &["--composition", "--tolerance", "--budget"]),
+        ("animate", &["--composition", "--path", "--output"]),
         ("compose", &["--scene", "--object", "--transform", "--cameras", "--output", "--layers"]),
         ("eval", &["--against", "--json"]),
         ("synth", &["--output"]),
@@ -114,6 +124,10 @@ fn wrong_usage_is_2() {
         (&["place", "--scene", "s", "--object", "o", "-o", "t", "--at", "1,2,3", "--yaw", "nan"], "finite"),
         (&["light", "--scene", "s", "--at", "1,2,3", "-o", "e.exr", "--near", "-1"], "negative"),
         (&["compose", "--scene", "s", "--transform", "t", "--cameras", "c", "-o", "out"], "--object"),
+        (&["render", "-o", "out"], "--composition"),
+        (&["render", "a.asset", "-o", "out"], "--cameras"),
+        (&["render", "--composition", "c.json", "--budget", "soon", "-o", "out"], "90s, 5m"),
+        (&["plan", "--composition", "c.json", "--tolerance", "-1"], "positive"),
         (&["synth", "tiny"], "-o ROOT"),
         (&["info"], "PATHS"),
         (&["demo", "--threads", "0"], "1 to 1024"),

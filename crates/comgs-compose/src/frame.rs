@@ -117,6 +117,31 @@ pub struct ComposedFrame {
     pub stats: FrameStats,
 }
 
+impl ComposedFrame {
+    /// The first value that is not finite: its plane, pixel and channel, in words; planes in the order in which they are
+    /// made. `None` when all is sound.
+    #[must_use]
+    pub fn first_non_finite(&self) -> Option<String> {
+        let planes = [
+            ("empty", &self.empty),
+            ("scene", &self.scene),
+            ("object", &self.object),
+            ("shadow", &self.shadow),
+            ("mask", &self.mask),
+            ("weight", &self.weight),
+            ("depth", &self.depth),
+            ("normal", &self.normal),
+            ("beauty", &self.beauty),
+        ];
+        planes.into_iter().find_map(|(name, plane)| {
+            let at = plane.data.iter().position(|v| !v.is_finite())?;
+            let (pixel, channel) = (at / plane.channels, at % plane.channels);
+            let (x, y) = (pixel % plane.width, pixel / plane.width);
+            Some(format!("plane {name} is {} at pixel ({x}, {y}), channel {channel}", plane.data[at]))
+        })
+    }
+}
+
 /// What a frame cost and shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameStats {
@@ -255,7 +280,13 @@ impl<'a> Composer<'a> {
         };
         stats.shadow_s = start.elapsed().as_secs_f64();
 
-        assemble(camera, &scene, &object, &fronts, shadow, stats)
+        let frame = assemble(camera, &scene, &object, &fronts, shadow, stats);
+        // Release builds do not look: a composed frame is finite when its parts are.
+        #[cfg(debug_assertions)]
+        if let Some(bad) = frame.first_non_finite() {
+            panic!("camera {}: {bad}", camera.name);
+        }
+        frame
     }
 
     /// The scene in front of the object, for every pixel.

@@ -19,5 +19,6 @@ pub mod render;
 pub mod render_composition;
 pub mod shadow;
 pub mod synth;
+pub mod tradeoff_shadow;
 
 pub(crate) mod frames;

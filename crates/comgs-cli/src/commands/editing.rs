@@ -4,7 +4,7 @@ use crate::args;
 use crate::output::{say, write};
 use comgs_pipeline::Context;
 use comgs_pipeline::stages::editing::{Relight, Settings, Shadow};
-use comgs_pipeline::stages::{animate, plan, render, render_composition, shadow};
+use comgs_pipeline::stages::{animate, plan, render, render_composition, shadow, tradeoff_shadow};
 
 /// The stages' settings.
 fn settings(a: &args::Editing) -> Settings {
@@ -88,5 +88,25 @@ pub(super) fn run_animate(a: &args::Animate, context: &Context<'_>) -> anyhow::R
     let made = animate::run(&input, &animate::Config { settings: settings(&a.editing) }, context)?;
     say!("{:.0} ms an edit", 1e3 * made.edit_s);
     say!("{}", made.preview.display());
+    Ok(())
+}
+
+pub(super) fn run_tradeoff(a: &args::Tradeoff, context: &Context<'_>) -> anyhow::Result<()> {
+    let args::TradeoffWhat::Shadow(a) = &a.what;
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let input = tradeoff_shadow::Input {
+        composition: a.composition.clone(),
+        truth: a.against.clone(),
+        output: a.output.clone(),
+        command: format!("comgs {}", words.join(" ")),
+    };
+    let config = tradeoff_shadow::Config {
+        knobs: a.knobs.clone(),
+        views: a.views,
+        reference_rays: a.reference_rays,
+        repeats: a.repeats,
+        seed: a.seed,
+    };
+    say!("{}", tradeoff_shadow::run(&input, &config, context)?.to_markdown()?);
     Ok(())
 }

@@ -6,6 +6,7 @@ use comgs_geom::{
     sampling::{hammersley, uniform_sphere},
 };
 use comgs_surfel::{ColorEncoding, activation::logit};
+use comgs_trace::Tracer;
 use glam::Vec2;
 
 fn never() -> bool {
