@@ -6,6 +6,10 @@
 //! Eq. 15–17 which [`denoise`] smooths, [`over`]
 //! puts scene and object in order, [`frame`] runs all of it for one camera, and [`layers`] writes the result.
 //!
+//! Shadows without tracing them for every pixel: [`occlusion_field`] is what an object hides, [`shadow_light`] the light as
+//! directions and strong lights, [`field_shadow`] the ratio of any point from the two, [`shadow_cache`] the ratio where
+//! frames need it; [`scene_probes`] is the paper's way.
+//!
 //! [`relight`] shows a decomposed object under another light.
 //!
 //! Nothing here knows the command line; only [`layers`] and [`relight::write_relit_layers`] write files.

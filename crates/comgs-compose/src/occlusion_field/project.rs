@@ -73,10 +73,24 @@ pub(super) fn window(discs: &[Disc], direction: &FieldDirection) -> Window {
     Window { middle: (0.5 * (low + high)).to_array(), half: half.to_array() }
 }
 
+/// A disc as a projection sees it: `q − c = x a + y b` in the projection, depth `ct + x at + y bt` along the direction.
+struct Flat {
+    c: Vec2,
+    a: Vec2,
+    b: Vec2,
+    depth: Vec3,
+    inverse_area: f32,
+    opacity: f32,
+    first: [u16; 2],
+    last: [u16; 2],
+}
+
 /// Opacity and depth of every pixel, along a direction and against it.
 ///
 /// The ray through a pixel's centre meets a disc's plane where `q − c = x a + y b` in the projection, at depth
-/// `c + x a + y b` along the direction, with opacity `o exp(−(x² + y²)/2)`.
+/// `c + x a + y b` along the direction, with opacity `o exp(−(x² + y²)/2)`. Opacity needs no order; depths are found from
+/// either side, disc by disc in the order of their centres, and a pixel is done at half of its opacity. (Sorting the hits of
+/// every pixel instead took 4 of 5 seconds, as long as tracing all rays.)
 pub(super) fn project(
     discs: &[Disc],
     direction: &FieldDirection,
@@ -87,57 +101,105 @@ pub(super) fn project(
     // Pixel centres: q = middle + half ((k + ½) 2 / res − 1).
     let pixel = 2.0 * half / res as f32;
     let origin = middle - half + 0.5 * pixel;
-    let mut hits: Vec<(u32, f32, f32)> = Vec::new();
-    for disc in discs {
-        let flat = |v: Vec3| Vec2::new(direction.u.dot(v), direction.v.dot(v));
-        let (c, a, b) = (flat(disc.centre), flat(disc.a), flat(disc.b));
-        let along = |v: Vec3| direction.towards.dot(v);
-        let (ct, at, bt) = (along(disc.centre), along(disc.a), along(disc.b));
-        let area = a.perp_dot(b);
-        if !(area.abs() > EDGE_ON * disc.a.length() * disc.b.length()) {
-            continue;
-        }
-        let reach = disc.cutoff * Vec2::new(a.x.hypot(b.x), a.y.hypot(b.y));
-        let first = ((c - reach - origin) / pixel).ceil().max(Vec2::ZERO);
-        let last = ((c + reach - origin) / pixel).floor().min(Vec2::splat(res as f32 - 1.0));
-        for row in first.y as i64..=last.y as i64 {
-            for column in first.x as i64..=last.x as i64 {
-                let d = origin + pixel * Vec2::new(column as f32, row as f32) - c;
-                let (x, y) = (d.perp_dot(b) / area, a.perp_dot(d) / area);
-                let alpha = disc.opacity * (-0.5 * (x * x + y * y)).exp();
+    let mut flats: Vec<Flat> = discs.iter().filter_map(|d| flat(d, direction, origin, pixel, res)).collect();
+    flats.sort_unstable_by(|a, b| a.depth.x.total_cmp(&b.depth.x).then(a.opacity.total_cmp(&b.opacity)));
+    let mut through = vec![1.0f32; res * res];
+    for f in &flats {
+        f.visit(
+            origin,
+            pixel,
+            res,
+            &mut through,
+            |_, _| true,
+            |through, alpha, _, _| *through *= 1.0 - alpha,
+        );
+    }
+    // A light towards −direction meets the nearest discs first, one towards +direction the farthest.
+    let dark = half_depths(flats.iter(), origin, pixel, res, &through);
+    let lit = half_depths(flats.iter().rev(), origin, pixel, res, &through);
+    let code = |depths: &[f32], sign: f32| {
+        let texel = |(t, depth): (&f32, &f32)| {
+            let alpha = ((1.0 - t) * f32::from(u16::MAX)).round() as u16;
+            if alpha == 0 {
+                [0, 0]
+            } else {
+                [alpha, depth_code((sign * depth).clamp(-DEPTH_REACH, DEPTH_REACH))]
+            }
+        };
+        through.iter().zip(depths).map(texel).collect()
+    };
+    (code(&lit, 1.0), code(&dark, -1.0))
+}
+
+/// A disc in the projection; `None` where it is edge-on or outside.
+fn flat(disc: &Disc, direction: &FieldDirection, origin: Vec2, pixel: Vec2, res: usize) -> Option<Flat> {
+    let flat = |v: Vec3| Vec2::new(direction.u.dot(v), direction.v.dot(v));
+    let (c, a, b) = (flat(disc.centre), flat(disc.a), flat(disc.b));
+    let along = |v: Vec3| direction.towards.dot(v);
+    let area = a.perp_dot(b);
+    if !(area.abs() > EDGE_ON * disc.a.length() * disc.b.length()) {
+        return None;
+    }
+    let reach = disc.cutoff * Vec2::new(a.x.hypot(b.x), a.y.hypot(b.y));
+    let first = ((c - reach - origin) / pixel).ceil().max(Vec2::ZERO);
+    let last = ((c + reach - origin) / pixel).floor().min(Vec2::splat(res as f32 - 1.0));
+    (first.x <= last.x && first.y <= last.y).then(|| Flat {
+        c,
+        a,
+        b,
+        depth: Vec3::new(along(disc.centre), along(disc.a), along(disc.b)),
+        inverse_area: 1.0 / area,
+        opacity: disc.opacity,
+        first: first.to_array().map(|v| v as u16),
+        last: last.to_array().map(|v| v as u16),
+    })
+}
+
+impl Flat {
+    /// Changes the value of every `open` pixel that it covers, given opacity and tangent coordinates in standard deviations.
+    #[inline]
+    fn visit<T>(
+        &self,
+        origin: Vec2,
+        pixel: Vec2,
+        res: usize,
+        values: &mut [T],
+        open: impl Fn(usize, &T) -> bool,
+        change: impl Fn(&mut T, f32, f32, f32),
+    ) {
+        for row in self.first[1]..=self.last[1] {
+            for column in self.first[0]..=self.last[0] {
+                let at = usize::from(row) * res + usize::from(column);
+                if !open(at, &values[at]) {
+                    continue;
+                }
+                let d = origin + pixel * Vec2::new(f32::from(column), f32::from(row)) - self.c;
+                let (x, y) = (d.perp_dot(self.b) * self.inverse_area, self.a.perp_dot(d) * self.inverse_area);
+                let alpha = self.opacity * (-0.5 * (x * x + y * y)).exp();
                 if alpha >= ALPHA_MIN {
-                    let place = (row as usize * res + column as usize) as u32;
-                    hits.push((place, ct + x * at + y * bt, alpha.min(ALPHA_MAX)));
+                    change(&mut values[at], alpha.min(ALPHA_MAX), x, y);
                 }
             }
         }
     }
-    hits.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2)));
-    let mut forth = vec![[0u16; 2]; res * res];
-    let mut back = forth.clone();
-    for ray in hits.chunk_by(|a, b| a.0 == b.0) {
-        let opacity = 1.0 - ray.iter().map(|h| 1.0 - h.2).product::<f32>();
-        let alpha = (opacity * f32::from(u16::MAX)).round() as u16;
-        // A light towards +direction meets the last hit first.
-        let lit = half_depth(ray.iter().rev().map(|h| (h.1, h.2)), opacity);
-        let dark = half_depth(ray.iter().map(|h| (h.1, h.2)), opacity);
-        let place = ray[0].0 as usize;
-        forth[place] = [alpha, depth_code(lit.clamp(-DEPTH_REACH, DEPTH_REACH))];
-        back[place] = [alpha, depth_code((-dark).clamp(-DEPTH_REACH, DEPTH_REACH))];
-    }
-    (forth, back)
 }
 
-/// Depth at which half of the opacity is reached.
-fn half_depth(hits: impl Iterator<Item = (f32, f32)>, opacity: f32) -> f32 {
-    let mut through = 1.0;
-    let mut at = 0.0;
-    for (t, alpha) in hits {
-        through *= 1.0 - alpha;
-        at = t;
-        if 1.0 - through >= 0.5 * opacity {
-            break;
-        }
+/// Depth at which every pixel has half of its opacity, discs in the order in which they are met.
+fn half_depths<'a>(
+    discs: impl Iterator<Item = &'a Flat>,
+    origin: Vec2,
+    pixel: Vec2,
+    res: usize,
+    through: &[f32],
+) -> Vec<f32> {
+    // What is left of the light, and the depth of the last disc that took some.
+    let mut pixels = vec![(1.0f32, 0.0f32); res * res];
+    let open = |at: usize, (left, _): &(f32, f32)| *left > 0.5 * (1.0 + through[at]);
+    for f in discs {
+        f.visit(origin, pixel, res, &mut pixels, open, |(left, depth), alpha, x, y| {
+            *left *= 1.0 - alpha;
+            *depth = f.depth.x + x * f.depth.y + y * f.depth.z;
+        });
     }
-    at
+    pixels.into_iter().map(|p| p.1).collect()
 }
