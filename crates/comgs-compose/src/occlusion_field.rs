@@ -19,8 +19,8 @@
 //! the ray crosses the plane through the object's middle ([`crate::field_shadow`]): what is wrong then is a parallax within the
 //! object, not a shift of the whole shadow. Small strong lights are split off ([`comgs_light::LightSplit`]) and traced.
 //!
-//! Projections are splatted, not traced: 29,000 surfels onto 128 projections of 64² pixels took a fifth of the time of half a
-//! million rays that look for all of their hits, and a pixel's answer is the same. Measured alternatives are in `docs/shadows.md`.
+//! Projections are splatted, not traced: 1.9 CPU-seconds for 29,000 surfels on 128 projections of 64² pixels, 3.9 for half a
+//! million rays that look for all of their hits. What it gives and what limits it: `docs/shadows.md`.
 
 mod project;
 mod serial;

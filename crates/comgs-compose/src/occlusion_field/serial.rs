@@ -83,7 +83,7 @@ pub fn from_bytes(bytes: &[u8]) -> Result<OcclusionField, FieldFormatError> {
     }
     let float = |i: usize| f32::from_le_bytes(word(16 + 4 * i));
     let (centre, radius) = (Vec3::new(float(0), float(1), float(2)), float(3));
-    if !centre.is_finite() || !(radius > 0.0 && radius.is_finite()) {
+    if !(centre.is_finite() && radius > 0.0 && radius.is_finite()) {
         return fail(format!("a bounding sphere at {centre} of radius {radius}"));
     }
     let texels = body

@@ -88,7 +88,7 @@ fn agrees_with_traced_rays_within_the_bounding_sphere() {
     for (x, y) in [(-0.4, -0.4), (0.4, -0.4), (0.4, 0.4), (-0.4, 0.4)] {
         for j in 0..30 {
             for a in 0..12 {
-                let d = Vec3::new((a as f32 * 0.5236).cos(), (a as f32 * 0.5236).sin(), 0.0);
+                let d = Vec2::from_angle(a as f32 * std::f32::consts::FRAC_PI_6).extend(0.0);
                 push(Vec3::new(x, y, 0.018 * j as f32) + 0.06 * d, d);
             }
         }

@@ -32,7 +32,7 @@ impl ReceiverCloud {
         for i in (0..receivers.points.len()).filter(|&i| receivers.is_surface(i)) {
             let (point, normal) = (receivers.points[i], receivers.normals[i]);
             let footprint = (point - centre).length() / focal;
-            if !(footprint > 0.0 && footprint.is_finite()) || !point.is_finite() {
+            if !(footprint > 0.0 && footprint.is_finite() && point.is_finite()) {
                 continue;
             }
             let level = footprint.log2().floor();
