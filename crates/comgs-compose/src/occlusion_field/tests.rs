@@ -36,15 +36,21 @@ fn ball() -> SurfelCloud {
 /// analytic ball. Within a texel of the silhouette either is right.
 #[test]
 fn a_ball_occludes_its_silhouette() {
-    let field =
-        OcclusionField::bake(&ball(), FieldConfig { directions: 16, resolution: 64 }, &never).unwrap();
+    for side in [12, 16, 24] {
+        silhouette_of_a_ball(side);
+    }
+}
+
+fn silhouette_of_a_ball(side: usize) {
+    let config = FieldConfig { directions: side, resolution: 64 };
+    let field = OcclusionField::bake(&ball(), config, &never).unwrap();
     let (centre, r) = (Vec3::new(0.2, -0.1, 0.4), 0.5);
     let mut rng = Rng::new(3);
     let (mut hidden, mut clear) = (0, 0);
     for _ in 0..20_000 {
         let direction = uniform_sphere(Vec2::new(rng.uniform(), rng.uniform()));
-        let k = octahedral::texel_of(direction, 16);
-        let direction = octahedral::texel_direction(k % 16, k / 16, 16);
+        let k = octahedral::texel_of(direction, side);
+        let direction = octahedral::texel_direction(k % side, k / side, side);
         let p = centre + 1.5 * Vec3::new(rng.normal(), rng.normal(), rng.normal());
         let away = (p - centre).reject_from(direction).length();
         let along = (centre - p).dot(direction);

@@ -56,7 +56,7 @@ mod tests {
         for x in 0..100 {
             b.pixel_mut(x, 7).copy_from_slice(&[0.5; 3]);
         }
-        let c = change(&[a.clone()], &[b]);
+        let c = change(std::slice::from_ref(&a), &[b]);
         let expected = f64::from(srgb_from_linear(0.5) - srgb_from_linear(0.25));
         assert!((c.touched - 0.01).abs() < 1e-9 && (c.mean - expected).abs() < 1e-6, "{c:?}");
         let mut speck = Image::filled(200, 100, 3, 0.25);
