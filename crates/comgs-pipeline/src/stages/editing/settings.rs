@@ -70,7 +70,7 @@ impl Settings {
         match self.quality {
             Quality::Draft => FieldConfig { directions: 12, resolution: 48 },
             Quality::Balanced => FieldConfig::default(),
-            Quality::Reference => FieldConfig { directions: 24, resolution: 96 },
+            Quality::Reference => FieldConfig { directions: 16, resolution: 96 },
         }
     }
 
