@@ -19,7 +19,7 @@
 //! the ray crosses the plane through the object's middle ([`crate::field_shadow`]): what is wrong then is a parallax within the
 //! object, not a shift of the whole shadow. Small strong lights are split off ([`comgs_light::LightSplit`]) and traced.
 //!
-//! Projections are splatted, not traced: 1.9 CPU-seconds for 29,000 surfels on 128 projections of 64² pixels, 3.9 for half a
+//! Projections are splatted, not traced: 2.0 CPU-seconds for 29,000 surfels on 128 projections of 64² pixels, 4.0 for half a
 //! million rays that look for all of their hits. What it gives and what limits it: `docs/shadows.md`.
 
 mod project;
