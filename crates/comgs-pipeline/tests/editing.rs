@@ -273,3 +273,23 @@ fn estimates_hold_within_a_factor_of_two() {
         assert!(cheapest.shortfall.unwrap().contains("cannot be met"));
     }
 }
+
+/// Goal: where nothing is to be seen nothing is simulated, and what builds on an invisible effect is not even tried: an
+/// object behind every camera, and one without material, which says what is missing.
+#[test]
+fn what_nobody_sees_is_not_tried() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    let plan_of = |composition: PathBuf| {
+        plan::run(&plan::Input { composition }, &draft(), &plan::Limits::default(), &Context::silent())
+            .unwrap()
+    };
+    let away = plan_of(write(root, &[similarity(500.0, 0.0, 0.3)], true, &sunny()));
+    assert!(away.lines.iter().all(|l| !l.on), "{}", away.to_text());
+    let untried = away.lines.iter().filter(|l| l.reason.starts_with("not tried")).count();
+    assert_eq!(untried, 4, "{}", away.to_text());
+    let plain = plan_of(write(root, &[similarity(0.0, 0.0, 0.3)], false, &sunny()));
+    let reason = |effect: &str| plain.lines.iter().find(|l| l.effect == effect).unwrap().reason.clone();
+    assert!(reason("scene light on the object").contains("comgs decompose"), "{}", plain.to_text());
+    assert!(plain.lines.iter().any(|l| l.on && l.effect == "cast shadow, near"));
+}

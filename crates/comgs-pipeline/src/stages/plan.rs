@@ -130,6 +130,13 @@ fn plan(
             });
             continue;
         }
+        // What builds on an effect that nobody sees is not tried: a scene that needs little is planned quickly.
+        let ground = effect.needs.and_then(|n| lines.iter().find(|l: &&Line| l.effect == n));
+        if let Some(ground) = ground.filter(|g| g.change.is_none_or(|c| c.mean < limits.tolerance)) {
+            let reason = format!("not tried: {} is below the tolerance or not there", ground.effect);
+            lines.push(Line { effect: effect.name.into(), change: None, seconds: 0.0, on: false, reason });
+            continue;
+        }
         (effect.turn_on)(&mut with);
         let next = pilots.render(&with, context)?;
         let change = change(&last.frames, &next.frames);
