@@ -5,6 +5,7 @@
 
 //! Arguments and help. Help teaches: every command says what it makes and shows how it is called.
 
+mod editing;
 mod frames;
 mod insert;
 mod judges;
@@ -14,6 +15,9 @@ mod synth;
 
 use clap::{Parser, Subcommand, ValueEnum};
 
+pub(crate) use editing::{
+    Animate, Editing, Plan, RelightObjects, Shadow, ShadowFrom, Tradeoff, TradeoffWhat,
+};
 pub(crate) use frames::{Compose, Relight, Render, SelfShadow};
 pub(crate) use insert::{
     CameraArgument, GuidanceArgument, Insert, InsertEval, ObjUp, Plane, ResponseArgument,
@@ -77,9 +81,13 @@ pub(crate) enum Command {
     Compose(Compose),
     Insert(Box<Insert>),
     InsertEval(InsertEval),
+    Shadow(Shadow),
+    Plan(Plan),
+    Animate(Animate),
     Material(Material),
     Eval(Eval),
     Ablate(Ablate),
+    Tradeoff(Tradeoff),
     Export(Export),
     Synth(Synth),
     Demo(Demo),

@@ -1,5 +1,6 @@
 //! From arguments to stages, and from their results to what is printed.
 
+mod editing;
 mod insert;
 mod insert_eval;
 mod light;
@@ -11,8 +12,7 @@ use anyhow::{Context as _, bail};
 use clap::CommandFactory;
 use comgs_inverse::{AlbedoScale, Kind, Quality, Visibility};
 use comgs_pipeline::stages::{
-    ablate, compose, decompose, demo, eval, export, info, material, place, reconstruct, relight, render,
-    synth,
+    ablate, compose, decompose, demo, eval, export, info, material, place, reconstruct, relight, synth,
 };
 use comgs_pipeline::{CancelToken, Context};
 use comgs_scene::{CheckDepth, check_with};
@@ -72,7 +72,10 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Light(a) => light::run_light(a, &context)?,
         Command::Panorama(a) => light::run_panorama(a, &context)?,
         Command::Model(a) => light::run_model(a, &context)?,
-        Command::Render(a) => run_render(a, &context)?,
+        Command::Render(a) => editing::run_render(a, &context)?,
+        Command::Shadow(a) => editing::run_shadow(a, &context)?,
+        Command::Plan(a) => editing::run_plan(a, &context)?,
+        Command::Animate(a) => editing::run_animate(a, &context)?,
         Command::Relight(a) => run_relight(a, &context)?,
         Command::Compose(a) => run_compose(a, &context)?,
         Command::Insert(a) => insert::run(a, &context)?,
@@ -80,6 +83,7 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Material(a) => run_material(a, &context)?,
         Command::Eval(a) => run_eval(a, &context)?,
         Command::Ablate(a) => run_ablate(a, &context)?,
+        Command::Tradeoff(a) => editing::run_tradeoff(a, &context)?,
         Command::Synth(a) => run_synth(a, &context)?,
         Command::Demo(a) => run_demo(a, &context)?,
         Command::Export(a) => run_export(a, &context)?,
@@ -169,14 +173,6 @@ fn run_place(a: &args::Place, context: &Context<'_>) -> anyhow::Result<()> {
         say!("gap     {gap:+.4} (base over ground)");
     }
     say!("{}", a.output.display());
-    Ok(())
-}
-
-fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Result<()> {
-    let input =
-        render::Input { asset: a.asset.clone(), cameras: a.cameras.clone(), output: a.output.clone() };
-    render::run(&input, &render::Config { layers: a.layers }, context)?;
-    say!("{}", a.output.join("frames").display());
     Ok(())
 }
 

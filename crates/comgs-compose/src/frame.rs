@@ -1,10 +1,12 @@
 //! One composed frame: scene, object, order, shadow.
 
+use crate::field_shadow::ShadowRatios;
 use crate::objects::{self, MergeError, PlacedObject};
 use crate::over::{self, Front, Ordering};
 use crate::placement::{SurfaceHit, Surfaces};
 use crate::receivers::Receivers;
 use crate::shadow::{self, LightSource, Occluder, ShadowConfig};
+use crate::shadow_cache::ShadowCache;
 use comgs_geom::Camera;
 use comgs_image::Image;
 use comgs_raster::{Frame, Planes, RasterConfig};
@@ -60,12 +62,31 @@ pub enum ComposeError {
     Invisible(usize),
 }
 
+/// Where a frame's shadow comes from.
+#[derive(Clone, Copy)]
+pub enum ShadowSource<'a> {
+    /// As [`ComposeConfig::shadow`] says: traced for every pixel, or none.
+    Configured,
+    /// The ratio of every pixel's point.
+    Exact(&'a dyn ShadowRatios),
+    /// A cache, and what works out the pixels that it does not know.
+    Cached(&'a ShadowCache, &'a dyn ShadowRatios),
+}
+
+/// Something that gives an object's pixels another radiance than its surfels have.
+pub trait ObjectShader: Sync {
+    /// Premultiplied linear radiance, 3 channels, of a G-buffer of all planes that the camera has seen of the merged
+    /// objects. Pixels it leaves black are black.
+    fn shade(&self, camera: &Camera, frame: &Frame) -> Image;
+}
+
 /// Scene and objects, prepared to be composed from any camera.
 pub struct Composer<'a> {
     scene: &'a SurfelCloud,
     scene_tracer: &'a Tracer,
     object: SurfelCloud,
-    object_tracer: Tracer,
+    /// Only for a shadow that is traced for every pixel.
+    object_tracer: Option<Tracer>,
     object_bounds: (Vec3, f32),
     light: &'a dyn LightSource,
     config: ComposeConfig,
@@ -96,6 +117,31 @@ pub struct ComposedFrame {
     pub stats: FrameStats,
 }
 
+impl ComposedFrame {
+    /// The first value that is not finite: its plane, pixel and channel, in words; planes in the order in which they are
+    /// made. `None` when all is sound.
+    #[must_use]
+    pub fn first_non_finite(&self) -> Option<String> {
+        let planes = [
+            ("empty", &self.empty),
+            ("scene", &self.scene),
+            ("object", &self.object),
+            ("shadow", &self.shadow),
+            ("mask", &self.mask),
+            ("weight", &self.weight),
+            ("depth", &self.depth),
+            ("normal", &self.normal),
+            ("beauty", &self.beauty),
+        ];
+        planes.into_iter().find_map(|(name, plane)| {
+            let at = plane.data.iter().position(|v| !v.is_finite())?;
+            let (pixel, channel) = (at / plane.channels, at % plane.channels);
+            let (x, y) = (pixel % plane.width, pixel / plane.width);
+            Some(format!("plane {name} is {} at pixel ({x}, {y}), channel {channel}", plane.data[at]))
+        })
+    }
+}
+
 /// What a frame cost and shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameStats {
@@ -103,8 +149,12 @@ pub struct FrameStats {
     pub raster_s: f64,
     /// Seconds for ordering and blending.
     pub order_s: f64,
+    /// Seconds for shading the object anew.
+    pub relight_s: f64,
     /// Seconds for the shadow.
     pub shadow_s: f64,
+    /// Pixels that a shadow cache did not know.
+    pub shadow_missed: usize,
     /// Rays traced for the shadow.
     pub shadow_rays: u64,
     /// Rays traced for the order.
@@ -155,8 +205,13 @@ impl<'a> Composer<'a> {
     ) -> Result<Self, ComposeError> {
         let object = objects::merge(objects)?;
         let object_bounds = objects::bounding_sphere(&object).ok_or(ComposeError::Invisible(object.len()))?;
-        let object_tracer = Tracer::new(&object, &TraceConfig::occlusion())
-            .map_err(|reason| ComposeError::Trace { what: "object", reason })?;
+        let object_tracer = match config.shadow {
+            Some(_) => Some(
+                Tracer::new(&object, &TraceConfig::occlusion())
+                    .map_err(|reason| ComposeError::Trace { what: "object", reason })?,
+            ),
+            None => None,
+        };
         Ok(Self { scene, scene_tracer, object, object_tracer, object_bounds, light, config })
     }
 
@@ -166,15 +221,47 @@ impl<'a> Composer<'a> {
         self.object_bounds
     }
 
+    /// All objects in world space.
+    #[must_use]
+    pub fn objects(&self) -> &SurfelCloud {
+        &self.object
+    }
+
+    /// What a camera sees of the scene, as points that receive shadows.
+    #[must_use]
+    pub fn receivers(&self, camera: &Camera) -> Receivers {
+        let scene = comgs_raster::render(self.scene, camera, Planes::GEOMETRY, &self.config.raster);
+        receivers(camera, &scene, MIN_WEIGHT)
+    }
+
     /// Composes one frame. Deterministic at any thread count.
     #[must_use]
     pub fn frame(&self, camera: &Camera) -> ComposedFrame {
+        self.frame_with(camera, ShadowSource::Configured, None)
+    }
+
+    /// Composes one frame with a shadow and perhaps a shading of the object from elsewhere. Deterministic at any thread
+    /// count.
+    #[must_use]
+    pub fn frame_with(
+        &self,
+        camera: &Camera,
+        shadow: ShadowSource<'_>,
+        shader: Option<&dyn ObjectShader>,
+    ) -> ComposedFrame {
         let start = std::time::Instant::now();
         let scene = comgs_raster::render(self.scene, camera, Planes::GEOMETRY, &self.config.raster);
         let near = self.config.raster.near.min(0.01 * self.object_bounds.1).max(f32::MIN_POSITIVE);
         let object_raster = RasterConfig { near, ..self.config.raster };
-        let object = comgs_raster::render(&self.object, camera, Planes::GEOMETRY, &object_raster);
+        let planes = if shader.is_some() { Planes::ALL } else { Planes::GEOMETRY };
+        let mut object = comgs_raster::render(&self.object, camera, planes, &object_raster);
         let mut stats = FrameStats { raster_s: start.elapsed().as_secs_f64(), ..FrameStats::default() };
+
+        let start = std::time::Instant::now();
+        if let Some(shader) = shader {
+            object.color = Some(shader.shade(camera, &object));
+        }
+        stats.relight_s = start.elapsed().as_secs_f64();
 
         let start = std::time::Instant::now();
         let (fronts, rays) = self.fronts(camera, &scene, &object);
@@ -182,10 +269,24 @@ impl<'a> Composer<'a> {
         stats.order_s = start.elapsed().as_secs_f64();
 
         let start = std::time::Instant::now();
-        let shadow = self.shadow(camera, &scene, &mut stats);
+        let shadow = match shadow {
+            ShadowSource::Configured => self.shadow(camera, &scene, &mut stats),
+            ShadowSource::Exact(exact) => all_ratios(&receivers(camera, &scene, MIN_WEIGHT), exact),
+            ShadowSource::Cached(cache, exact) => {
+                let read = cache.read(&receivers(camera, &scene, MIN_WEIGHT), exact);
+                stats.shadow_missed = read.missed;
+                read.ratio
+            }
+        };
         stats.shadow_s = start.elapsed().as_secs_f64();
 
-        assemble(camera, &scene, &object, &fronts, shadow, stats)
+        let frame = assemble(camera, &scene, &object, &fronts, shadow, stats);
+        // Release builds do not look: a composed frame is finite when its parts are.
+        #[cfg(debug_assertions)]
+        if let Some(bad) = frame.first_non_finite() {
+            panic!("camera {}: {bad}", camera.name);
+        }
+        frame
     }
 
     /// The scene in front of the object, for every pixel.
@@ -236,16 +337,34 @@ impl<'a> Composer<'a> {
     }
 
     fn shadow(&self, camera: &Camera, scene: &Frame, stats: &mut FrameStats) -> Image {
-        let Some(config) = &self.config.shadow else {
+        let (Some(config), Some(tracer)) = (&self.config.shadow, &self.object_tracer) else {
             return Image::filled(camera.width, camera.height, 3, 1.0);
         };
-        let depth = scene.unbiased_depth(config.min_weight);
-        let receivers = Receivers::from_planes(camera, &depth, plane(&scene.normal));
-        let occluder = TracedObject { tracer: &self.object_tracer, bounds: self.object_bounds };
+        let receivers = receivers(camera, scene, config.min_weight);
+        let occluder = TracedObject { tracer, bounds: self.object_bounds };
         let traced = shadow::trace_shadow(&receivers, self.light, &occluder, config);
         stats.shadow_rays = traced.rays_traced;
         crate::denoise::denoise(&traced, &receivers, &config.denoise)
     }
+}
+
+/// Scene weight under which a pixel has no surface to receive a shadow.
+const MIN_WEIGHT: f32 = 0.5;
+
+fn receivers(camera: &Camera, scene: &Frame, min_weight: f32) -> Receivers {
+    Receivers::from_planes(camera, &scene.unbiased_depth(min_weight), plane(&scene.normal))
+}
+
+/// The ratio of every pixel that shows a surface.
+fn all_ratios(receivers: &Receivers, exact: &dyn ShadowRatios) -> Image {
+    let mut ratio = Image::filled(receivers.width, receivers.height, 3, 1.0);
+    let pixels: Vec<usize> = (0..receivers.points.len()).filter(|&i| receivers.is_surface(i)).collect();
+    let points: Vec<Vec3> = pixels.iter().map(|&i| receivers.points[i]).collect();
+    let normals: Vec<Vec3> = pixels.iter().map(|&i| receivers.normals[i]).collect();
+    for (i, value) in pixels.iter().zip(exact.ratios(&points, &normals)) {
+        ratio.data[3 * i..3 * i + 3].copy_from_slice(&value.to_array());
+    }
+    ratio
 }
 
 /// A plane that was asked for.

@@ -454,3 +454,17 @@ fn placements_are_checked_against_the_traced_scene() {
     assert!(check(0.0, -0.2).warnings[0].contains("sunk"));
     assert!(check(30.0, 0.0).warnings[0].contains("mid-air"));
 }
+
+/// Goal: the check that debug builds run after every frame names the first plane and pixel that went wrong, and is silent on
+/// a sound frame.
+#[test]
+fn the_first_value_that_went_wrong_is_named() {
+    let (scene, ball) = (floor(), ball([0.8, 0.2, 0.2]));
+    let camera = camera(40, 30);
+    let mut frame = compose(&scene, &[(&ball, at(0.0, 0.0, 0.5, 1.0))], &camera, &Sky, few_rays());
+    assert_eq!(frame.first_non_finite(), None);
+    frame.beauty.pixel_mut(3, 4)[2] = f32::INFINITY;
+    frame.shadow.pixel_mut(7, 5)[1] = f32::NAN;
+    let text = frame.first_non_finite().unwrap();
+    assert_eq!(text, "plane shadow is NaN at pixel (7, 5), channel 1");
+}

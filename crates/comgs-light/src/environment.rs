@@ -178,6 +178,12 @@ impl EnvironmentMap {
         Vec3::from_array(self.image.rgb(column, row))
     }
 
+    /// Sets the radiance of a texel; components that are no radiance are taken as 0.
+    pub(crate) fn set_texel(&mut self, column: usize, row: usize, radiance: Vec3) {
+        let sound = radiance.to_array().map(|v| if v.is_finite() { v.max(0.0) } else { 0.0 });
+        self.image.pixel_mut(column, row).copy_from_slice(&sound);
+    }
+
     /// Texel that a direction (of any length) falls into, column and row.
     #[must_use]
     pub fn texel_of(&self, direction: Vec3) -> (usize, usize) {

@@ -1,6 +1,7 @@
 //! Light from everywhere, and what surfaces make of it.
 //!
 //! * [`EnvironmentMap`], [`EnvironmentSampler`]: equirectangular maps of linear radiance, and importance sampling of them.
+//! * [`LightSplit`]: the small strong lights of a map apart from its smooth rest.
 //! * [`OctahedralLight`], [`OctahedralSampler`]: a learnable octahedral map with gradients, and its sampling;
 //!   [`LightPyramid`] is the parameterisation that is optimised.
 //! * [`brdf`]: the reflectance model, its sampling and its gradients.
@@ -22,6 +23,7 @@ pub mod light_pyramid;
 pub mod octahedral_light;
 pub mod octahedral_sampler;
 pub mod sampler;
+pub mod split;
 
 pub use brdf::{Material, MaterialGradient, Shading};
 pub use environment::{EnvError, EnvReport, EnvironmentMap};
@@ -30,6 +32,7 @@ pub use light_pyramid::LightPyramid;
 pub use octahedral_light::{OctahedralError, OctahedralLight};
 pub use octahedral_sampler::{Importance, OctahedralSampler};
 pub use sampler::{EnvSample, EnvironmentSampler};
+pub use split::{LightSplit, SplitConfig, StrongLight, StrongTexel};
 
 /// Luminance of linear Rec.709 radiance.
 #[must_use]

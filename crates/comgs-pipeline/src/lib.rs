@@ -14,6 +14,11 @@
 //! | [`stages::relight`] | decomposed asset, environment map, cameras | frames, layers, turntable |
 //! | [`stages::compose`] | scene, object, transform, cameras | frames, layers, `composition.json`, `report.html` |
 //! | [`stages::insert`] | photo, mesh or decomposed asset | composite, layers, `env.exr`, tone curves, `report.html` |
+//! | [`stages::shadow`] | composition | occlusion of its objects |
+//! | [`stages::plan`] | composition | which effects it calls for |
+//! | [`stages::render_composition`] | composition, occlusion | frames, layers |
+//! | [`stages::animate`] | composition, poses | frames, a moving picture |
+//! | [`stages::tradeoff_shadow`] | composition, ground truth | table and plot of what shadows cost |
 //! | [`stages::eval`] | asset or frames, ground truth | scores |
 //! | [`stages::ablate`] | object capture with ground truth | table and plot of what choices cost |
 //! | [`stages::export`] | asset | a PLY for other programs |

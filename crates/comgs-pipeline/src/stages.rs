@@ -1,10 +1,12 @@
 //! The stages, one module each, in the order of the flow.
 
 pub mod ablate;
+pub mod animate;
 pub mod completers;
 pub mod compose;
 pub mod decompose;
 pub mod demo;
+pub mod editing;
 pub mod eval;
 pub mod export;
 pub mod info;
@@ -16,9 +18,13 @@ pub mod model;
 pub mod panorama;
 pub mod panorama_eval;
 pub mod place;
+pub mod plan;
 pub mod reconstruct;
 pub mod relight;
 pub mod render;
+pub mod render_composition;
+pub mod shadow;
 pub mod synth;
+pub mod tradeoff_shadow;
 
 pub(crate) mod frames;

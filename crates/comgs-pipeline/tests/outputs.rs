@@ -22,7 +22,7 @@ fn place_at(world: &World, output: &Path, x: f64) -> Result<place::Output, Pipel
 }
 
 fn light_at(world: &World, output: &Path, z: f64) -> Result<light::Output, PipelineError> {
-    let input = light::Input { scene: world.scene.clone(), output: output.to_owned() };
+    let input = light::Input { scene: world.scene.clone(), output: output.to_owned(), report: None };
     let config = light::Config { height: 8, ..light::Config::at(DVec3::new(0.0, 0.0, z)) };
     light::run(&input, &config, &Context::silent())
 }

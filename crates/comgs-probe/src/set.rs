@@ -1,6 +1,7 @@
 //! The probes.
 
 use crate::{OrientedPoints, ProbeConfig, ProbeError, ProbeIndex, farthest_points};
+use comgs_geom::{Similarity, octahedral};
 use glam::Vec3;
 
 /// Most texels along a side of a texture.
@@ -72,6 +73,47 @@ impl ProbeSet {
     #[must_use]
     pub fn index(&self, config: &ProbeConfig) -> ProbeIndex {
         ProbeIndex::new(&self.positions, self.radius(config))
+    }
+
+    /// The set under a similarity: positions and distances scale, normals turn, and textures are sampled anew in the turned
+    /// directions (bilinear, so a turn blurs them by up to half a texel; without a turn they stay as they are).
+    #[must_use]
+    pub fn transformed(&self, s: &Similarity) -> Self {
+        let turn = s.rotation.as_quat();
+        let scale = s.scale as f32;
+        let mut out = self.clone();
+        out.positions = self.positions.iter().map(|p| s.transform_point(p.as_dvec3()).as_vec3()).collect();
+        out.normals = self.normals.iter().map(|n| turn * *n).collect();
+        (out.spacing, out.far_distance) = (self.spacing * scale, self.far_distance * scale);
+        let side = self.resolution;
+        let is_turned = turn.w.abs() < 1.0 - 1e-7;
+        let footprints: Vec<octahedral::Footprint> = (0..self.texture_len())
+            .map(|t| {
+                let d = octahedral::texel_direction(t % side, t / side, side);
+                octahedral::footprint(turn.inverse() * d, side)
+            })
+            .collect();
+        if is_turned {
+            let n = self.texture_len();
+            for probe in 0..self.len() {
+                let (texels, moments) = (self.texture(probe), self.moments_of(probe));
+                for (t, f) in footprints.iter().enumerate() {
+                    let mut texel = [0.0; 4];
+                    let mut moment = [0.0; 2];
+                    for (&k, &w) in f.texels.iter().zip(&f.weights) {
+                        (0..4).for_each(|c| texel[c] += w * texels[k as usize][c]);
+                        (0..2).for_each(|c| moment[c] += w * moments[k as usize][c]);
+                    }
+                    texel[3] = texel[3].clamp(0.0, 1.0);
+                    out.texels[probe * n + t] = texel;
+                    out.moments[probe * n + t] = moment;
+                }
+            }
+        }
+        for m in &mut out.moments {
+            *m = [m[0] * scale, m[1] * scale * scale];
+        }
+        out
     }
 
     /// Bytes of all columns.

@@ -24,6 +24,9 @@ pub struct CompositionRecord {
     pub objects: Vec<ObjectRecord>,
     /// Light at the placement: an equirectangular HDR image.
     pub light: Option<String>,
+    /// Lights that are added to it, none in most compositions.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lamps: Vec<LampRecord>,
     /// What the objects do to the scene.
     pub effects: EffectPolicy,
     /// The cameras to render from: any camera file.
@@ -40,6 +43,30 @@ pub struct ObjectRecord {
     pub asset: String,
     /// Its place: `world_from_object`.
     pub similarity: SimilarityRecord,
+}
+
+/// A light that is added to the map.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
+pub enum LampRecord {
+    /// From infinitely far away.
+    Directional {
+        /// Towards the light.
+        direction: [f64; 3],
+        /// Irradiance of a surface that faces it, linear RGB.
+        irradiance: [f64; 3],
+        /// Half of the angle it is seen under, degrees; 0 to 28.
+        angular_radius_deg: f64,
+    },
+    /// From a small sphere.
+    Point {
+        /// World.
+        position: [f64; 3],
+        /// Radiant intensity, linear RGB per steradian.
+        intensity: [f64; 3],
+        /// Radius, world units.
+        radius: f64,
+    },
 }
 
 /// Which effects are simulated.
@@ -170,6 +197,7 @@ mod tests {
                 similarity: s.into(),
             }],
             light: Some("env.exr".into()),
+            lamps: Vec::new(),
             effects: EffectPolicy { shadow: ShadowPolicy::Traced },
             cameras: "cameras.json".into(),
         }
@@ -185,6 +213,25 @@ mod tests {
         assert_eq!(back, record());
         assert!((back.objects[0].similarity.rotation[0] - 0.15f64.cos()).abs() < 1e-12);
         assert!(back.objects[0].similarity.similarity().is_ok());
+    }
+
+    /// Goal: lamps survive the round trip, and a composition without any is written as it was before there were lamps.
+    #[test]
+    fn lamps_are_optional() {
+        let mut with = record();
+        with.lamps = vec![
+            LampRecord::Point { position: [1.0, 2.0, 3.0], intensity: [4.0; 3], radius: 0.1 },
+            LampRecord::Directional {
+                direction: [0.0, 0.0, 1.0],
+                irradiance: [1.0; 3],
+                angular_radius_deg: 0.5,
+            },
+        ];
+        let text = serde_json::to_string(&with).unwrap();
+        assert_eq!(CompositionRecord::parse(text.as_bytes(), Path::new("c.json")).unwrap(), with);
+        assert!(!serde_json::to_string(&record()).unwrap().contains("lamps"));
+        let wrong = text.replace("\"radius\":0.1", "\"radios\":0.1");
+        assert!(CompositionRecord::parse(wrong.as_bytes(), Path::new("c.json")).is_err());
     }
 
     /// Goal: mistakes are named by their place, misspelt fields included, and nothing unreadable is written.

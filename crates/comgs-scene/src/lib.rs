@@ -22,7 +22,7 @@ pub use capture::{
     Capture, CheckDepth, CheckReport, Format, LoadOptions, OpenOptions, Problem, ProblemKind, Severity, Size,
     Split, View, ViewRecord, check, check_with,
 };
-pub use composition::{CompositionRecord, EffectPolicy, ObjectRecord, ShadowPolicy};
+pub use composition::{CompositionRecord, EffectPolicy, LampRecord, ObjectRecord, ShadowPolicy};
 pub use error::SceneError;
 pub use mesh::{Mesh, MeshMaterial, read_mesh};
 pub use transform_file::TransformFile;

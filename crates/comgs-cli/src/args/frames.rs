@@ -1,23 +1,33 @@
 //! Arguments of the commands that make frames.
 
-use super::Quality;
-use crate::values::{duration, size};
+use super::{Editing, Quality};
+use crate::values::{duration, positive, size};
 use clap::{ArgGroup, Args, ValueEnum};
 use std::path::PathBuf;
 
-/// Render an asset as cameras see it
+/// Render an asset as cameras see it, or a composition with its shadows
 #[derive(Debug, Args)]
-#[command(after_help = "\
+#[command(
+    group = ArgGroup::new("subject").required(true).args(["asset", "composition"]),
+    after_help = "\
 Examples:
   comgs render cow.asset --cameras photos/cow/test/cameras.json -o out/cow
-  comgs render published.ply --cameras photos/room -o out/room --layers")]
+  comgs render published.ply --cameras photos/room -o out/room --layers
+  comgs render --composition out/composition.json -o frames                      objects under the scene's light
+  comgs render --composition out/composition.json --cache cache --quality draft -o frames
+  comgs render --composition out/composition.json --budget 20s -o frames         only the effects that pay"
+)]
 pub(crate) struct Render {
     /// Asset, or a PLY of surfels
-    pub asset: PathBuf,
+    pub asset: Option<PathBuf>,
 
-    /// Any camera list or capture
-    #[arg(long)]
-    pub cameras: PathBuf,
+    /// composition.json, as `comgs compose` writes it
+    #[arg(long, value_name = "FILE")]
+    pub composition: Option<PathBuf>,
+
+    /// Any camera list or capture; a composition has its own
+    #[arg(long, required_unless_present = "composition")]
+    pub cameras: Option<PathBuf>,
 
     /// Output folder: frames/<camera>.png
     #[arg(short, long, value_name = "DIR")]
@@ -26,6 +36,21 @@ pub(crate) struct Render {
     /// Also write layers/<camera>.exr: beauty, depth, normal, material
     #[arg(long)]
     pub layers: bool,
+
+    #[command(flatten)]
+    pub editing: Editing,
+
+    /// Folder of occlusion fields made by `comgs shadow`; what is missing is baked and kept there
+    #[arg(long, value_name = "DIR", requires = "composition")]
+    pub cache: Option<PathBuf>,
+
+    /// Simulate what changes the picture by at least this (linear mean over the pixels that an effect touches)
+    #[arg(long, value_name = "T", requires = "composition", value_parser = positive)]
+    pub tolerance: Option<f64>,
+
+    /// Simulate what pays most within this time (20s)
+    #[arg(long, value_name = "TIME", requires = "composition", value_parser = duration)]
+    pub budget: Option<f64>,
 }
 
 /// What an object hides from itself.

@@ -153,6 +153,10 @@ pub(crate) struct Light {
 
 /// Complete panoramas, and measure how well
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs panorama complete --input partial.exr --mask mask.png -o env.exr
+  comgs panorama eval hdri --masks assets/panorama/masks --held-out")]
 pub(crate) struct Panorama {
     #[command(subcommand)]
     pub what: PanoramaWhat,
@@ -250,6 +254,10 @@ pub(crate) struct PanoramaEval {
 
 /// Look at model bundles
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs model check                                         the model that ships with comgs
+  comgs model check my_model")]
 pub(crate) struct ModelCommand {
     #[command(subcommand)]
     pub what: ModelWhat,

@@ -2,11 +2,9 @@
 
 use crate::record::StageTime;
 use crate::source::Source;
-use crate::stages::{light, reconstruct};
+use crate::stages::{editing, light, reconstruct};
 use crate::{Context, Fingerprint, PipelineError, source};
-use comgs_compose::{
-    ComposeConfig, Denoise, Ordering, PlacementConfig, ShadowConfig, check_placement, objects,
-};
+use comgs_compose::{ComposeConfig, Denoise, Ordering, ShadowConfig, objects};
 use comgs_geom::{Camera, Similarity};
 use comgs_inverse::Kind;
 use comgs_raster::RasterConfig;
@@ -209,26 +207,8 @@ impl Plan {
 
     /// What is odd about the placements (hard case 33).
     pub(super) fn placement_warnings(&self, scene: &Tracer) -> Vec<String> {
-        let world_up = DVec3::from_array(self.scene.record.up);
-        let mut warnings = Vec::new();
-        for object in &self.objects {
-            let own_up = DVec3::from_array(object.asset.record.up);
-            let Some(extent) = objects::extent(&object.asset.surfels, own_up) else { continue };
-            let s = object.world_from_object;
-            let to_world = |p: DVec3| s.transform_point(extent.upright_from_object.inverse() * p);
-            let size = (extent.high - extent.low) * s.scale;
-            let report = check_placement(
-                scene,
-                to_world(extent.base()),
-                world_up,
-                0.5 * size.x.min(size.y),
-                size.z,
-                self.coverage,
-                &PlacementConfig::default(),
-            );
-            warnings.extend(report.warnings.into_iter().map(|w| format!("{}: {w}", object.name)));
-        }
-        warnings
+        let placed = self.objects.iter().map(|o| (o.name.as_str(), &o.asset, o.world_from_object));
+        editing::placement_warnings(&self.scene, scene, placed, self.coverage)
     }
 }
 

@@ -40,6 +40,7 @@ pub(super) fn write_composition(
             })
             .collect::<Result<_, PipelineError>>()?,
         light: Some(relative(&plan.environment, &input.output)?),
+        lamps: Vec::new(),
         effects: EffectPolicy {
             shadow: if config.shadow { ShadowPolicy::Traced } else { ShadowPolicy::None },
         },

@@ -32,6 +32,31 @@ struct Truth {
     regions: Option<Regions>,
 }
 
+/// Ground truth of composed frames, read once a frame that is asked for.
+pub(crate) struct TruthFrames {
+    root: PathBuf,
+}
+
+impl TruthFrames {
+    /// # Errors
+    /// [`PipelineError::Input`] for a folder without pictures.
+    pub fn new(against: &Path) -> Result<Self, PipelineError> {
+        Ok(Self { root: truth_root(against)? })
+    }
+
+    /// Scores by region of a linear frame as it would be written; `None` without a picture of that name.
+    ///
+    /// # Errors
+    /// [`PipelineError`] for pictures that do not compare.
+    pub fn judge(&self, name: &str, frame: &Image) -> Result<Option<RegionScores>, PipelineError> {
+        let Some(truth) = load_truth(&self.root, name)? else { return Ok(None) };
+        let scores = judge(frame, &truth).map_err(|e: MetricError| {
+            PipelineError::input(format!("frame {name}"), "pictures that compare", e.to_string())
+        })?;
+        Ok(Some(scores))
+    }
+}
+
 /// Compares frames by name with the pictures of a composition or capture.
 ///
 /// With `mask/` and `empty/` in the truth, scores are by region, and two baselines come along: the frames' own empty

@@ -24,10 +24,19 @@ impl Subject {
     /// # Errors
     /// [`PipelineError::Input`] for surfels without material and for unreadable probes.
     pub fn load(path: &Path) -> Result<Self, PipelineError> {
-        let asset = source::load_surfels(path, AssetKind::Object)?;
-        if asset.surfels.material.is_none() {
+        let subject = Self::load_any(path)?;
+        if subject.asset.surfels.material.is_none() {
             return Err(refused(path, &RelightError::NoMaterial));
         }
+        Ok(subject)
+    }
+
+    /// Loads an object with or without material.
+    ///
+    /// # Errors
+    /// [`PipelineError`] for what cannot be read.
+    pub fn load_any(path: &Path) -> Result<Self, PipelineError> {
+        let asset = source::load_surfels(path, AssetKind::Object)?;
         let probes = asset.file(PROBES_FILE).map(|file| read_probes(&file)).transpose()?;
         Ok(Self { asset, probes, path: path.to_owned() })
     }

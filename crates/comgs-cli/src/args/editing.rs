@@ -1,0 +1,207 @@
+//! Arguments of the commands that work on a composition.
+
+use super::{Quality, Switch};
+use crate::values::{duration, positive};
+use clap::{Args, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Where shadows on the scene come from.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum ShadowFrom {
+    /// Occlusion of the objects, baked once, and rays to strong lights; cached where the frames need it
+    Auto,
+    /// Probes in the scene, as in the paper
+    Probes,
+    /// Rays for every pixel of every frame
+    Trace,
+    /// No shadow
+    None,
+}
+
+/// Whether objects take the scene's light.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum RelightObjects {
+    /// Where they have material
+    Auto,
+    /// They keep the light of their captures
+    Off,
+}
+
+/// What is simulated, and how finely.
+#[derive(Debug, Args)]
+pub(crate) struct Editing {
+    /// Where shadows on the scene come from
+    #[arg(long, value_enum, default_value = "auto")]
+    pub shadow: ShadowFrom,
+
+    /// Whether the objects take the scene's light
+    #[arg(long, value_enum, default_value = "auto")]
+    pub relight: RelightObjects,
+
+    /// What objects hide from themselves and each other
+    #[arg(long, value_enum, default_value = "on")]
+    pub self_occlusion: Switch,
+
+    /// Light that bounces between the objects' surfaces
+    #[arg(long, value_enum, default_value = "off")]
+    pub indirect: Switch,
+
+    /// Light that the objects throw back on the scene
+    #[arg(long, value_enum, default_value = "off")]
+    pub bounce: Switch,
+
+    /// Point on the curve of time against error
+    #[arg(long, value_enum, default_value = "balanced")]
+    pub quality: Quality,
+
+    /// Same seed, same bytes
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+/// Bake what the objects of a composition occlude
+///
+/// Done once an object: it serves any place, turn and size, and any light.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs shadow --composition out/composition.json -o cache
+  comgs render --composition out/composition.json --cache cache -o frames")]
+pub(crate) struct Shadow {
+    /// composition.json, as `comgs compose` writes it
+    #[arg(long, value_name = "FILE")]
+    pub composition: PathBuf,
+
+    /// Folder of the occlusion fields
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+
+    /// Resolution of the fields
+    #[arg(long, value_enum, default_value = "balanced")]
+    pub quality: Quality,
+}
+
+/// Render a composition whose objects move
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs animate --composition out/composition.json --path poses --cameras one_camera.json -o frames
+  comgs animate --composition out/composition.json --path poses --cache cache --relight off -o frames
+
+A pose is a file like transform.json; the steps go in the order of the files' names. An object that a step does not name
+stays where it is.")]
+pub(crate) struct Animate {
+    /// composition.json, as `comgs compose` writes it
+    #[arg(long, value_name = "FILE")]
+    pub composition: PathBuf,
+
+    /// Folder of poses, one file a step
+    #[arg(long, value_name = "DIR")]
+    pub path: PathBuf,
+
+    /// One camera, or one for every step
+    #[arg(long)]
+    pub cameras: Option<PathBuf>,
+
+    /// Folder of occlusion fields made by `comgs shadow`
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+
+    /// Output folder: frames/<step>.png, preview.gif
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+
+    #[command(flatten)]
+    pub editing: Editing,
+}
+
+/// Tell which effects a composition calls for, why, and at what cost
+///
+/// Every effect is tried on small frames with and without it.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs plan --composition out/composition.json
+  comgs plan --composition out/composition.json --tolerance 0.002
+  comgs plan --composition out/composition.json --budget 10s")]
+pub(crate) struct Plan {
+    /// composition.json, as `comgs compose` writes it
+    #[arg(long, value_name = "FILE")]
+    pub composition: PathBuf,
+
+    /// Least change of the picture that calls for an effect: mean over the pixels it touches, 1 is white
+    #[arg(long, value_name = "T", default_value = "0.004", value_parser = positive)]
+    pub tolerance: f64,
+
+    /// Time for all frames (10s)
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub budget: Option<f64>,
+
+    /// Point on the curve of time against error
+    #[arg(long, value_enum, default_value = "balanced")]
+    pub quality: Quality,
+
+    /// Same seed, same bytes
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+/// Measure time against error, knob by knob
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs tradeoff shadow --composition out/composition.json -o docs/tradeoff
+  comgs tradeoff shadow --help")]
+pub(crate) struct Tradeoff {
+    #[command(subcommand)]
+    pub what: TradeoffWhat,
+}
+
+/// What is swept.
+#[derive(Debug, Subcommand)]
+pub(crate) enum TradeoffWhat {
+    Shadow(TradeoffShadow),
+}
+
+/// Every way to a shadow, one knob at a time
+///
+/// Writes shadow.csv, shadow.md, shadow.svg and shadow.png: seconds of a frame and of its preparation, error against
+/// converged rays and, with --against, against ground truth.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  comgs tradeoff shadow --composition out/composition.json -o docs/tradeoff
+  comgs tradeoff shadow --composition out/composition.json --against composition/room_with_cow --knobs way,cache -o out")]
+pub(crate) struct TradeoffShadow {
+    /// composition.json, as `comgs compose` writes it
+    #[arg(long, value_name = "FILE")]
+    pub composition: PathBuf,
+
+    /// Composition with ground truth
+    #[arg(long, value_name = "DIR")]
+    pub against: Option<PathBuf>,
+
+    /// Output folder
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+
+    /// Knobs to turn; all when absent: way, quality, field, directions, split, cache, probes, neighbours
+    #[arg(long, value_name = "KNOB,…", value_delimiter = ',')]
+    pub knobs: Vec<String>,
+
+    /// Cameras, at most
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    pub views: usize,
+
+    /// Rays a pixel of the reference
+    #[arg(long, value_name = "N", default_value_t = 1024)]
+    pub reference_rays: u32,
+
+    /// Frames of which the fastest counts
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    pub repeats: usize,
+
+    /// Seed
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}

@@ -1,0 +1,306 @@
+//! `render --composition`: frames of a composition, with shadows from a cache, objects under its light, and only the
+//! effects that are asked for.
+
+mod stage;
+
+pub use stage::{Config, Input, Output, run};
+
+use crate::stages::editing::{Baked, Composition, RelitObjects, Settings, Shadow, lit_map};
+use crate::{Context, PipelineError, Status};
+use comgs_compose::{
+    CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, ObjectShader,
+    ReceiverCloud, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig, ShadowLight, ShadowRatios,
+    ShadowSource, objects,
+};
+use comgs_geom::Camera;
+use comgs_light::EnvironmentSampler;
+use comgs_probe::{BakeObserver, ProbeSet};
+use comgs_trace::{TraceConfig, Tracer};
+use glam::{DVec3, Vec3};
+use std::time::Instant;
+
+/// Seconds of preparing a composition, by part.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Prepared {
+    /// Cutting the light.
+    pub light_s: f64,
+    /// Merging the objects.
+    pub merge_s: f64,
+    /// What the cameras see of the scene.
+    pub receivers_s: f64,
+    /// Probes in the scene, where they are used.
+    pub probes_s: f64,
+    /// The shadow cache.
+    pub cache_s: f64,
+    /// Preparing the relighting.
+    pub relight_s: f64,
+    /// What the objects throw back.
+    pub bounce_s: f64,
+}
+
+impl Prepared {
+    /// All of it.
+    #[must_use]
+    pub fn seconds(&self) -> f64 {
+        self.light_s
+            + self.merge_s
+            + self.receivers_s
+            + self.probes_s
+            + self.cache_s
+            + self.relight_s
+            + self.bounce_s
+    }
+}
+
+/// What frames are rendered with: everything that does not depend on the camera.
+pub(crate) struct Renderer<'a> {
+    pub composer: &'a Composer<'a>,
+    exact: Option<Box<dyn ShadowRatios + 'a>>,
+    cache: Option<ShadowCache>,
+    relit: Option<RelitObjects<'a>>,
+    pub prepared: Prepared,
+    shadow: Shadow,
+}
+
+/// What must outlive a [`Renderer`].
+pub(crate) struct Ground<'a> {
+    pub composer: Composer<'a>,
+    pub light: ShadowLight,
+    pub object_tracer: Option<Tracer>,
+    pub probes: Option<ProbeSet>,
+    pub prepared: Prepared,
+}
+
+impl<'a> Ground<'a> {
+    /// Composer, light, probes of the objects.
+    ///
+    /// # Errors
+    /// [`PipelineError`].
+    pub fn new(
+        composition: &'a Composition,
+        scene_tracer: &'a Tracer,
+        sampler: &'a EnvironmentSampler,
+        settings: &Settings,
+    ) -> Result<Self, PipelineError> {
+        let mut prepared = Prepared::default();
+        let start = Instant::now();
+        let light =
+            ShadowLight::new(&composition.map, &composition.lamps, &settings.light()).map_err(|e| {
+                PipelineError::input("the composition's lamps", "lights that can shine", e.to_string())
+            })?;
+        prepared.light_s = start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        let traced = settings.shadow == Shadow::Trace && composition.wants_shadow();
+        let shadow =
+            ShadowConfig { rays: settings.shadow_rays(), seed: settings.seed, ..ShadowConfig::default() };
+        let config = ComposeConfig {
+            raster: composition.raster(),
+            shadow: traced.then_some(shadow),
+            ..ComposeConfig::default()
+        };
+        let composer =
+            Composer::new(&composition.scene.surfels, scene_tracer, &composition.placed(), sampler, config)?;
+        let object_tracer = (settings.shadow == Shadow::Probes)
+            .then(|| Tracer::new(composer.objects(), &TraceConfig::occlusion()))
+            .transpose()?;
+        prepared.merge_s = start.elapsed().as_secs_f64();
+        Ok(Self { composer, light, object_tracer, probes: RelitObjects::probes(composition), prepared })
+    }
+}
+
+/// What the cameras see of the scene: does not change when objects move.
+pub(crate) fn receivers(
+    composer: &Composer<'_>,
+    cameras: &[Camera],
+    context: &Context<'_>,
+) -> Result<ReceiverCloud, PipelineError> {
+    let mut cloud = ReceiverCloud::default();
+    for (i, camera) in cameras.iter().enumerate() {
+        context.check()?;
+        context.progress.update(&Status {
+            fraction: Some(i as f64 / cameras.len() as f64),
+            message: format!("what camera {} sees", camera.name),
+            remaining: None,
+        });
+        cloud.add(camera, &composer.receivers(camera));
+    }
+    Ok(cloud)
+}
+
+impl<'a> Renderer<'a> {
+    /// Prepares shadows and shading.
+    ///
+    /// # Errors
+    /// [`PipelineError`].
+    pub fn new(
+        composition: &'a Composition,
+        ground: &'a Ground<'a>,
+        baked: Option<&'a Baked>,
+        receivers: &ReceiverCloud,
+        settings: &Settings,
+    ) -> Result<Self, PipelineError> {
+        let mut prepared = ground.prepared;
+        let shadow = if composition.wants_shadow() { settings.shadow } else { Shadow::None };
+        let start = Instant::now();
+        let cloud = ground.composer.objects();
+        let map = lit_map(composition);
+        let relit = RelitObjects::new(composition, cloud, ground.probes.as_ref(), &map, settings)?;
+        prepared.relight_s = start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        let exact: Option<Box<dyn ShadowRatios + 'a>> = match (shadow, baked) {
+            (Shadow::Auto, Some(baked)) => {
+                let field = FieldShadow::new(&ground.light, &baked.placed(composition));
+                Some(Box::new(if settings.bounce {
+                    let seen = seen_radiance(composition, &ground.composer, relit.as_ref());
+                    field.with_bounce(move |_, d| seen.towards(d))
+                } else {
+                    field
+                }))
+            }
+            (Shadow::Probes, _) => scene_probes(composition, ground, receivers)?,
+            _ => None,
+        };
+        let exact = match exact {
+            Some(all) if settings.near_only => Some(Box::new(NearOnly(all)) as Box<dyn ShadowRatios + 'a>),
+            other => other,
+        };
+        let spent = start.elapsed().as_secs_f64();
+        match shadow {
+            Shadow::Probes => prepared.probes_s = spent,
+            _ => prepared.bounce_s = spent,
+        }
+        let cache = exact.as_ref().map(|exact| {
+            let cache = ShadowCache::build(receivers, exact.as_ref(), &settings.cache());
+            prepared.cache_s = cache.statistics().seconds;
+            cache
+        });
+        Ok(Self { composer: &ground.composer, exact, cache, relit, prepared, shadow })
+    }
+
+    /// One frame.
+    pub fn frame(&self, camera: &Camera) -> ComposedFrame {
+        let source = match (&self.cache, &self.exact) {
+            (Some(cache), Some(exact)) => ShadowSource::Cached(cache, exact.as_ref()),
+            _ => ShadowSource::Configured,
+        };
+        let shader = self.relit.as_ref().map(|r| r as &dyn ObjectShader);
+        self.composer.frame_with(camera, source, shader)
+    }
+
+    /// What the shadow cache took.
+    pub fn cache(&self) -> Option<CacheStatistics> {
+        self.cache.as_ref().map(ShadowCache::statistics)
+    }
+
+    /// Whether objects are shown under the composition's light.
+    pub fn is_relit(&self) -> bool {
+        self.relit.is_some()
+    }
+
+    /// Shadows, as they came out.
+    pub fn shadow(&self) -> Shadow {
+        self.shadow
+    }
+}
+
+/// Shadows beyond this many radii are far.
+const NEAR: f32 = 6.0;
+
+/// Ratios within a few radii of what casts them.
+struct NearOnly<'a>(Box<dyn ShadowRatios + 'a>);
+
+impl ShadowRatios for NearOnly<'_> {
+    fn ratios(&self, points: &[Vec3], normals: &[Vec3]) -> Vec<Vec3> {
+        let spheres = self.0.spheres();
+        let near = |p: &Vec3| spheres.iter().any(|(c, r)| (*p - *c).length() < NEAR * r);
+        let mut ratios = self.0.ratios(points, normals);
+        for (p, ratio) in points.iter().zip(&mut ratios) {
+            if !near(p) {
+                *ratio = Vec3::ONE;
+            }
+        }
+        ratios
+    }
+
+    fn spheres(&self) -> Vec<(Vec3, f32)> {
+        self.0.spheres()
+    }
+
+    fn strong(&self) -> Vec<comgs_compose::StrongFrom> {
+        self.0.strong()
+    }
+}
+
+/// Probes in the scene; `None` where no camera sees a receiver near the objects.
+fn scene_probes<'a>(
+    composition: &Composition,
+    ground: &'a Ground<'a>,
+    receivers: &ReceiverCloud,
+) -> Result<Option<Box<dyn ShadowRatios + 'a>>, PipelineError> {
+    let Some(tracer) = &ground.object_tracer else { return Ok(None) };
+    let config = SceneProbeConfig::default();
+    let spheres = composition.spheres();
+    match SceneProbes::bake(receivers, &ground.light, tracer, spheres, &config, BakeObserver::silent()) {
+        Ok(probes) => Ok(Some(Box::new(probes))),
+        Err(comgs_probe::ProbeError::NoPoints(_)) => Ok(None),
+        Err(other) => Err(PipelineError::input("scene probes", "probes", other.to_string())),
+    }
+}
+
+/// Mean radiance of the objects by direction.
+struct SeenRadiance(Vec<(Vec3, Vec3)>);
+
+impl SeenRadiance {
+    /// Of the nearest direction that was looked in.
+    fn towards(&self, direction: Vec3) -> Vec3 {
+        let nearest = self.0.iter().max_by(|a, b| a.0.dot(direction).total_cmp(&b.0.dot(direction)));
+        nearest.map_or(Vec3::ZERO, |n| n.1)
+    }
+}
+
+/// Width of the pictures that the mean radiance is taken from.
+const SEEN_WIDTH: usize = 24;
+
+/// Looks at the objects from 26 directions.
+fn seen_radiance(
+    composition: &Composition,
+    composer: &Composer<'_>,
+    relit: Option<&RelitObjects<'_>>,
+) -> SeenRadiance {
+    let cloud = composer.objects();
+    let Some((centre, radius)) = objects::bounding_sphere(cloud) else { return SeenRadiance(Vec::new()) };
+    let mut seen = Vec::new();
+    for k in (0..27).filter(|&k| k != 13) {
+        let step = |v: i32| f64::from(v % 3 - 1);
+        let from = DVec3::new(step(k), step(k / 3), step(k / 9)).normalize();
+        let eye = centre.as_dvec3() + from * f64::from(radius) * 6.0;
+        let up = if from.z.abs() > 0.9 { DVec3::X } else { DVec3::Z };
+        let camera = Camera::look_at(
+            "seen",
+            SEEN_WIDTH,
+            SEEN_WIDTH,
+            2.2 * (1.0f64 / 6.0).atan(),
+            eye,
+            centre.as_dvec3(),
+            up,
+        );
+        let raster = composition.raster();
+        let frame = comgs_raster::render(cloud, &camera, comgs_raster::Planes::ALL, &raster);
+        let color = match (relit, &frame.color) {
+            (Some(relit), _) => relit.shade(&camera, &frame),
+            (None, Some(color)) => color.clone(),
+            (None, None) => continue,
+        };
+        let weight: f32 = frame.weight.data.iter().sum();
+        let sum: Vec3 = color.data.chunks_exact(3).map(Vec3::from_slice).sum();
+        if weight > 0.0 {
+            seen.push((-from.as_vec3(), sum / weight));
+        }
+    }
+    SeenRadiance(seen)
+}
+
+/// The cache's knobs, named for the reports.
+pub(crate) fn cache_json(config: &CacheConfig) -> serde_json::Value {
+    serde_json::json!({"tolerance": config.tolerance, "pixels": config.pixels})
+}

@@ -1,0 +1,295 @@
+//! Shadow, render, animate and plan on a small world: what they write, read again, refuse and estimate.
+
+mod common;
+
+use comgs_geom::Similarity;
+use comgs_image::{Image, write_exr};
+use comgs_inverse::Quality;
+use comgs_pipeline::stages::editing::{Relight, Settings, Shadow};
+use comgs_pipeline::stages::{animate, plan, render_composition, shadow};
+use comgs_pipeline::{Context, PipelineError};
+use comgs_scene::composition::COMPOSITION_VERSION;
+use comgs_scene::{
+    Asset, AssetKind, CompositionRecord, EffectPolicy, LampRecord, ObjectRecord, ShadowPolicy, TransformFile,
+    write_cameras,
+};
+use comgs_surfel::{MaterialColumns, activation::logit};
+use glam::{DQuat, DVec3};
+use std::path::{Path, PathBuf};
+
+fn similarity(x: f64, y: f64, z: f64) -> Similarity {
+    Similarity { scale: 0.6, rotation: DQuat::from_rotation_z(0.4), translation: DVec3::new(x, y, z) }
+}
+
+/// A sky with a sun.
+fn sunny() -> Image {
+    let mut image = Image::filled(64, 32, 3, 0.3);
+    image.pixel_mut(20, 8).copy_from_slice(&[120.0, 110.0, 100.0]);
+    image
+}
+
+/// A room, a ball with or without material, a light, cameras.
+fn write(root: &Path, places: &[Similarity], with_material: bool, light: &Image) -> PathBuf {
+    let mut ball = common::object_cloud();
+    if with_material {
+        ball.material = Some(MaterialColumns {
+            albedo_logits: vec![[logit(0.8), logit(0.2), logit(0.2)]; ball.len()],
+            metallic_logits: vec![logit(0.02); ball.len()],
+            roughness_logits: vec![logit(0.7); ball.len()],
+        });
+    }
+    Asset::new(AssetKind::Scene, common::scene_cloud()).save(root.join("room.asset")).unwrap();
+    Asset::new(AssetKind::Object, ball).save(root.join("ball.asset")).unwrap();
+    write_exr(&root.join("env.exr"), light).unwrap();
+    write_cameras(root.join("cameras.json"), &common::ring(3, 2.6, 1.5, (128, 96), 0.9)).unwrap();
+    let record = CompositionRecord {
+        version: COMPOSITION_VERSION,
+        scene: "room.asset".into(),
+        objects: places
+            .iter()
+            .enumerate()
+            .map(|(i, s)| ObjectRecord {
+                name: format!("ball{i}"),
+                asset: "ball.asset".into(),
+                similarity: (*s).into(),
+            })
+            .collect(),
+        light: Some("env.exr".into()),
+        lamps: Vec::new(),
+        effects: EffectPolicy { shadow: ShadowPolicy::Traced },
+        cameras: "cameras.json".into(),
+    };
+    let path = root.join("composition.json");
+    record.write(&path).unwrap();
+    path
+}
+
+fn draft() -> Settings {
+    Settings { quality: Quality::Draft, ..Settings::default() }
+}
+
+fn render(root: &Path, composition: &Path, name: &str, settings: Settings) -> render_composition::Output {
+    let input = render_composition::Input {
+        composition: composition.to_owned(),
+        cameras: None,
+        cache: Some(root.join("cache")),
+        output: root.join(name),
+    };
+    let config = render_composition::Config { settings, ..render_composition::Config::default() };
+    render_composition::run(&input, &config, &Context::silent()).unwrap()
+}
+
+fn picture(root: &Path, name: &str, camera: &str) -> Image {
+    comgs_image::read(&root.join(name).join("frames").join(format!("{camera}.png"))).unwrap().color
+}
+
+fn mean(image: &Image) -> f32 {
+    image.data.iter().sum::<f32>() / image.data.len() as f32
+}
+
+fn rms(a: &Image, b: &Image) -> f32 {
+    (a.data.iter().zip(&b.data).map(|(a, b)| (a - b).powi(2)).sum::<f32>() / a.data.len() as f32).sqrt()
+}
+
+/// Goal: fields are baked once and read again, also after the object has moved; an unchanged run does nothing; cached,
+/// probe and traced shadows give nearly the same picture, and all are darker than none.
+#[test]
+fn occlusion_is_baked_once_and_all_shadows_agree() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    let composition = write(root, &[similarity(0.0, 0.0, 0.3)], false, &sunny());
+    let bake = || {
+        let input = shadow::Input { composition: composition.clone(), output: root.join("cache") };
+        shadow::run(&input, &draft(), &Context::silent()).unwrap()
+    };
+    assert_eq!((bake().read, bake().read), (0, 1));
+    let cached = render(root, &composition, "cached", draft());
+    assert_eq!(cached.record.results["occlusion_read"], 1);
+    assert_eq!(cached.record.results["missed_pixels"], 0);
+    assert!(render(root, &composition, "cached", draft()).reused);
+    let traced = Settings { shadow: Shadow::Trace, ..draft() };
+    render(root, &composition, "traced", traced);
+    render(root, &composition, "probes", Settings { shadow: Shadow::Probes, ..draft() });
+    render(root, &composition, "none", Settings { shadow: Shadow::None, ..draft() });
+    for camera in ["00000", "00001"] {
+        let of = |name: &str| picture(root, name, camera);
+        let (cached, traced, none) = (of("cached"), of("traced"), of("none"));
+        assert!(mean(&cached) < 0.98 * mean(&none), "{} {}", mean(&cached), mean(&none));
+        let (near, far) = (rms(&cached, &traced), rms(&none, &traced));
+        assert!(near < 0.35 * far, "{camera}: cached {near}, none {far}");
+        let probes = rms(&of("probes"), &traced);
+        assert!(probes < 0.6 * far, "{camera}: probes {probes}, none {far}");
+    }
+    // Moved, the object needs no new field.
+    write(root, &[similarity(0.5, 0.3, 0.3)], false, &sunny());
+    assert_eq!(render(root, &composition, "moved", draft()).record.results["occlusion_read"], 1);
+}
+
+/// Goal: several objects, one of them twice, are baked once and shadow together; a lamp adds a shadow of its own (hard
+/// case 32).
+#[test]
+fn hard_case_32_several_objects_and_lamps() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    let places = [similarity(-0.5, 0.0, 0.3), similarity(0.5, 0.1, 0.3)];
+    let composition = write(root, &places, false, &Image::filled(16, 8, 3, 0.4));
+    let two = render(root, &composition, "two", draft());
+    assert_eq!(two.record.results["strong_lights"], 0);
+    let mut record = CompositionRecord::read(&composition).unwrap();
+    let lamp = LampRecord::Point { position: [0.0, 1.5, 1.2], intensity: [6.0; 3], radius: 0.05 };
+    record.lamps = vec![lamp];
+    record.write(&composition).unwrap();
+    let lit = render(root, &composition, "lamp", draft());
+    assert_eq!(lit.record.results["strong_lights"], 1);
+    assert!(rms(&picture(root, "two", "00000"), &picture(root, "lamp", "00000")) > 0.004);
+    record.lamps = vec![LampRecord::Point { position: [f64::MAX; 3], intensity: [-1.0; 3], radius: 0.1 }];
+    record.write(&composition).unwrap();
+    let input =
+        render_composition::Input { composition, cameras: None, cache: None, output: root.join("bad") };
+    let error = render_composition::run(&input, &Default::default(), &Context::silent()).unwrap_err();
+    assert!(error.to_string().contains("lamp 1"), "{error}");
+}
+
+/// Goal: bad input of issue 5 and hard cases 26, 30, 31, 33: a black light gives frames without shadow and says so; an
+/// object inside the floor, in mid-air, larger than the scene and out of sight is rendered finite, and said; a
+/// similarity that is none is refused with its field; zero receivers are no error.
+#[test]
+fn hard_cases_26_30_33_bad_input_is_named() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    let run = |s: Similarity, light: &Image, name: &str| {
+        let composition = write(root, &[s], false, light);
+        let made = render(root, &composition, name, draft());
+        for camera in ["00000", "00001", "00002"] {
+            assert_eq!(picture(root, name, camera).non_finite(), 0, "{name}");
+        }
+        made.record.warnings.join("\n")
+    };
+    let standing = similarity(0.0, 0.0, 0.3);
+    assert!(run(standing, &Image::zeros(16, 8, 3), "black").contains("black"));
+    assert_eq!(
+        rms(&picture(root, "black", "00000"), &{
+            let composition = write(root, &[standing], false, &Image::zeros(16, 8, 3));
+            render(root, &composition, "plain", Settings { shadow: Shadow::None, ..draft() });
+            picture(root, "plain", "00000")
+        }),
+        0.0
+    );
+    let sky = sunny();
+    assert!(run(similarity(0.0, 0.0, -0.1), &sky, "sunk").contains("sunk"));
+    assert!(run(similarity(0.0, 0.0, 5.0), &sky, "air").contains("mid-air"));
+    let huge = Similarity { scale: 30.0, ..standing };
+    assert!(run(huge, &sky, "huge").contains("larger than the scene"));
+    assert!(run(similarity(500.0, 0.0, 0.3), &sky, "away").contains("no camera sees"));
+    let composition = write(root, &[standing], false, &sky);
+    let text = std::fs::read_to_string(&composition).unwrap();
+    std::fs::write(&composition, text.replace("\"scale\": 0.6", "\"scale\": -0.6")).unwrap();
+    let input = plan::Input { composition };
+    let error = plan::run(&input, &draft(), &plan::Limits::default(), &Context::silent()).unwrap_err();
+    assert!(
+        matches!(error, PipelineError::Scene(_)) && error.to_string().contains("similarity.scale"),
+        "{error}"
+    );
+}
+
+/// Goal: a path of poses gives a frame a step without baking again; a path without poses, and one that names nobody, are
+/// refused.
+#[test]
+fn objects_move_along_a_path() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    let composition = write(root, &[similarity(0.0, 0.0, 0.3)], false, &sunny());
+    let poses = root.join("poses");
+    std::fs::create_dir(&poses).unwrap();
+    let input = |path: PathBuf| {
+        write_cameras(root.join("one.json"), &common::ring(1, 2.6, 1.5, (64, 48), 0.9)).unwrap();
+        animate::Input {
+            composition: composition.clone(),
+            path,
+            cameras: Some(root.join("one.json")),
+            cache: None,
+            output: root.join("film"),
+        }
+    };
+    let config = animate::Config { settings: draft() };
+    let refuse =
+        |input: &animate::Input| animate::run(input, &config, &Context::silent()).unwrap_err().to_string();
+    assert!(refuse(&input(poses.clone())).contains("files of transforms"));
+    for k in 0..3 {
+        let file = TransformFile::single("ball0", similarity(0.3 * f64::from(k) - 0.3, 0.0, 0.3));
+        file.write(poses.join(format!("{k}.json"))).unwrap();
+    }
+    let made = animate::run(&input(poses.clone()), &config, &Context::silent()).unwrap();
+    assert!(made.preview.is_file() && made.edit_s > 0.0);
+    let frame = |k: usize| comgs_image::read(&root.join(format!("film/frames/{k:05}.png"))).unwrap().color;
+    assert!(rms(&frame(0), &frame(1)) > 0.01 && rms(&frame(1), &frame(2)) > 0.01);
+    let stranger = TransformFile {
+        objects: vec![("cat".into(), similarity(0.0, 0.0, 0.3)), ("dog".into(), similarity(0.0, 0.0, 0.3))],
+    };
+    stranger.write(poses.join("9.json")).unwrap();
+    assert!(refuse(&input(poses)).contains("cat, dog"));
+}
+
+/// Goal: the plan's estimates hold within a factor of two of what the effects change at full size, on a ball with material
+/// under a sun and under an overcast sky; what is below the tolerance is left out, what is above is in; a
+/// budget that cannot be met gives the cheapest plan and says so.
+#[test]
+fn estimates_hold_within_a_factor_of_two() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    for (light, name) in [(sunny(), "sun"), (Image::filled(16, 8, 3, 0.5), "overcast")] {
+        let composition = write(root, &[similarity(0.0, 0.0, 0.3)], true, &light);
+        let input = plan::Input { composition: composition.clone() };
+        let made = plan::run(&input, &draft(), &plan::Limits::default(), &Context::silent()).unwrap();
+        let line = |effect: &str| made.lines.iter().find(|l| l.effect == effect).unwrap();
+        let off = Settings { relight: Relight::Off, shadow: Shadow::None, self_occlusion: false, ..draft() };
+        let frames = |settings: Settings, folder: &str| -> Vec<Image> {
+            render(root, &composition, &format!("{name}_{folder}"), settings);
+            ["00000", "00001", "00002"].map(|c| picture(root, &format!("{name}_{folder}"), c)).to_vec()
+        };
+        let none = frames(off.clone(), "none");
+        let relit = frames(Settings { relight: Relight::Auto, ..off.clone() }, "relit");
+        let hidden =
+            frames(Settings { relight: Relight::Auto, self_occlusion: true, ..off.clone() }, "hidden");
+        let shaded = frames(Settings { shadow: Shadow::Auto, ..draft() }, "shaded");
+        for (effect, before, after) in [
+            ("scene light on the object", &none, &relit),
+            ("self-occlusion", &relit, &hidden),
+            ("cast shadow, near", &hidden, &shaded),
+        ] {
+            let outcome = plan::change(before, after);
+            let estimate = line(effect).change.unwrap();
+            assert_eq!(line(effect).on, estimate.mean >= plan::TOLERANCE, "{effect}");
+            if outcome.mean >= plan::TOLERANCE || estimate.mean >= plan::TOLERANCE {
+                let ratio = estimate.mean / outcome.mean;
+                assert!((0.5..2.0).contains(&ratio), "{name}, {effect}: {estimate:?} {outcome:?}");
+            }
+        }
+        assert!(line("cast shadow, near").on && made.settings.shadow == Shadow::Auto);
+        assert!(!line("glossy receiver").on && line("glossy receiver").reason.contains("not modelled"));
+        let tight = plan::Limits { budget_s: Some(1e-6), ..plan::Limits::default() };
+        let cheapest = plan::run(&input, &draft(), &tight, &Context::silent()).unwrap();
+        assert!(cheapest.lines.iter().all(|l| !l.on));
+        assert!(cheapest.shortfall.unwrap().contains("cannot be met"));
+    }
+}
+
+/// Goal: where nothing is to be seen nothing is simulated, and what builds on an invisible effect is not even tried: an
+/// object behind every camera, and one without material, which says what is missing.
+#[test]
+fn what_nobody_sees_is_not_tried() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    let plan_of = |composition: PathBuf| {
+        plan::run(&plan::Input { composition }, &draft(), &plan::Limits::default(), &Context::silent())
+            .unwrap()
+    };
+    let away = plan_of(write(root, &[similarity(500.0, 0.0, 0.3)], true, &sunny()));
+    assert!(away.lines.iter().all(|l| !l.on), "{}", away.to_text());
+    let untried = away.lines.iter().filter(|l| l.reason.starts_with("not tried")).count();
+    assert_eq!(untried, 4, "{}", away.to_text());
+    let plain = plan_of(write(root, &[similarity(0.0, 0.0, 0.3)], false, &sunny()));
+    let reason = |effect: &str| plain.lines.iter().find(|l| l.effect == effect).unwrap().reason.clone();
+    assert!(reason("scene light on the object").contains("comgs decompose"), "{}", plain.to_text());
+    assert!(plain.lines.iter().any(|l| l.on && l.effect == "cast shadow, near"));
+}
