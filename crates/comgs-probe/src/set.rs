@@ -233,3 +233,55 @@ fn median_spacing(points: &[Vec3], size: f32) -> f32 {
     let median = *distances.select_nth_unstable_by(middle, f32::total_cmp).1;
     if median > 0.0 && median.is_finite() { median } else { size }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample;
+    use glam::{DQuat, DVec3};
+
+    /// A probe whose occlusion and mean distance vary smoothly with the direction.
+    fn smooth(resolution: usize) -> ProbeSet {
+        let value = |t: usize| {
+            let d = octahedral::texel_direction(t % resolution, t / resolution, resolution);
+            (0.5 + 0.3 * d.x - 0.2 * d.z, 1.0 + 0.4 * d.y)
+        };
+        let texels = resolution * resolution;
+        ProbeSet {
+            positions: vec![Vec3::new(0.1, 0.2, 0.3)],
+            normals: vec![Vec3::Y],
+            resolution,
+            texels: (0..texels).map(|t| [0.1, 0.2, 0.3, value(t).0]).collect(),
+            moments: (0..texels).map(|t| [value(t).1, value(t).1.powi(2)]).collect(),
+            spacing: 0.1,
+            far_distance: 2.0,
+        }
+    }
+
+    /// Goal: a set under a similarity says of a turned direction what it said of the direction before, lengths scale with
+    /// it, and without a turn no texel changes.
+    #[test]
+    fn sets_move_turn_and_scale() {
+        let set = smooth(16);
+        let translation = DVec3::new(1.0, -2.0, 0.5);
+        let still = Similarity { scale: 3.0, rotation: DQuat::IDENTITY, translation };
+        let moved = set.transformed(&still);
+        assert_eq!(moved.texels, set.texels);
+        assert!((moved.moments[7][0] - 3.0 * set.moments[7][0]).abs() < 1e-5);
+        assert!((moved.moments[7][1] - 9.0 * set.moments[7][1]).abs() < 1e-4);
+        assert!((moved.positions[0] - Vec3::new(1.3, -1.4, 1.4)).length() < 1e-5);
+        assert!((moved.spacing - 0.3).abs() < 1e-6 && (moved.far_distance - 6.0).abs() < 1e-5);
+        let s = Similarity { rotation: DQuat::from_rotation_x(0.7) * DQuat::from_rotation_z(2.0), ..still };
+        let turned = set.transformed(&s);
+        assert!(turned.problems().is_empty(), "{:?}", turned.problems());
+        let turn = s.rotation.as_quat();
+        assert!((turned.normals[0] - turn * Vec3::Y).length() < 1e-6);
+        for k in 0..200 {
+            let u = glam::Vec2::new((k as f32 + 0.5) / 200.0, (k as f32 * 0.618).fract());
+            let d = comgs_geom::sampling::uniform_sphere(u);
+            let (a, b) = (sample(set.texture(0), 16, d), sample(turned.texture(0), 16, turn * d));
+            // Two bilinear look-ups of a field that bends by less than this over a texel.
+            assert!((a[3] - b[3]).abs() < 0.02, "{d}: {a:?} {b:?}");
+        }
+    }
+}

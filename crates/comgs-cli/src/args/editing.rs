@@ -130,7 +130,7 @@ pub(crate) struct Plan {
     pub composition: PathBuf,
 
     /// Least change of the picture that calls for an effect: mean over the pixels it touches, 1 is white
-    #[arg(long, value_name = "T", default_value = "0.004", value_parser = positive)]
+    #[arg(long, value_name = "T", default_value = "0.004", allow_negative_numbers = true, value_parser = positive)]
     pub tolerance: f64,
 
     /// Time for all frames (10s)

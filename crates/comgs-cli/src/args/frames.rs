@@ -45,7 +45,7 @@ pub(crate) struct Render {
     pub cache: Option<PathBuf>,
 
     /// Simulate what changes the picture by at least this (linear mean over the pixels that an effect touches)
-    #[arg(long, value_name = "T", requires = "composition", value_parser = positive)]
+    #[arg(long, value_name = "T", requires = "composition", allow_negative_numbers = true, value_parser = positive)]
     pub tolerance: Option<f64>,
 
     /// Simulate what pays most within this time (20s)
