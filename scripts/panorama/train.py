@@ -92,6 +92,7 @@ def main():
         return {k: round(float(np.mean(v)), 4) for k, v in sums.items()}
 
     started, running, step, progress = time.time(), [], 0, 0.0
+    best = float("inf")
     while progress < 1:
         progress = max(step / a.steps, (time.time() - started) / (60 * a.minutes))
         rate = a.rate * min(1, (step + 1) / 100) * (0.5 + 0.5 * math.cos(math.pi * min(1, progress))) + 1e-5
@@ -128,11 +129,14 @@ def main():
                     **dict(zip(["loss", *parts], [round(float(v), 4) for v in means]))}
             if step % 250 == 0:
                 library.refresh()
-                line.update(validate(ema))
-                torch.save({"model": ema, "dual": dual, "arguments": vars(a)}, a.output)
+                scores = validate(ema)
+                line.update(scores)
+                # Twenty maps are learned by heart in the end: the state whose diffuse sphere validates best is kept.
+                if scores["net_diffuse"] < best:
+                    best = scores["net_diffuse"]
+                    torch.save({"model": ema, "dual": dual, "step": step, "arguments": vars(a)}, a.output)
             print(json.dumps(line), flush=True)
     print(json.dumps({"final": validate(ema), "steps": step, "minutes": (time.time() - started) / 60}), flush=True)
-    torch.save({"model": ema, "dual": dual, "arguments": vars(a)}, a.output)
 
 
 if __name__ == "__main__":
