@@ -1,11 +1,11 @@
 //! `plan`: which effects a composition calls for, why, and at what cost.
 //!
 //! Effects are tried on small frames, one after the other in the order in which they build on one another
-//! ([`effects::EFFECTS`]): the difference of two neighbouring pilots is what an effect changes, as a viewer sees it, and the
+//! (`effects::EFFECTS`): the difference of two neighbouring pilots is what an effect changes, as a viewer sees it, and the
 //! difference of their times what it costs, scaled to the frames. An effect runs when its change reaches the tolerance, when what
 //! it builds on runs, and, under a budget, when it is among those that change most a second.
 //!
-//! What is not modelled is looked at too ([`unmodelled`]) and listed with its estimate, so that nobody takes silence for
+//! What is not modelled is looked at too (`unmodelled`) and listed with its estimate, so that nobody takes silence for
 //! absence.
 
 pub(crate) mod effects;
