@@ -32,6 +32,8 @@ pub const TOLERANCE: f64 = 0.004;
 pub struct Input {
     /// `composition.json`.
     pub composition: PathBuf,
+    /// Cameras instead of the composition's.
+    pub cameras: Option<PathBuf>,
 }
 
 /// What an effect must be worth.
@@ -93,7 +95,8 @@ pub fn run(
 ) -> Result<Plan, PipelineError> {
     context.progress.begin("plan");
     let start = Instant::now();
-    let composition = Composition::load(&input.composition, None, |text| context.progress.warn(&text))?;
+    let composition =
+        Composition::load(&input.composition, input.cameras.as_deref(), |text| context.progress.warn(&text))?;
     let settings = Settings { shadow: Shadow::Auto, ..settings.clone() };
     // The outline of an occluder decides about a pilot of a hundred pixels at a draft's resolution too.
     let draft = Settings { quality: comgs_inverse::Quality::Draft, ..settings.clone() };
