@@ -184,7 +184,7 @@ fn hard_cases_26_30_33_bad_input_is_named() {
     let composition = write(root, &[standing], false, &sky);
     let text = std::fs::read_to_string(&composition).unwrap();
     std::fs::write(&composition, text.replace("\"scale\": 0.6", "\"scale\": -0.6")).unwrap();
-    let input = plan::Input { composition };
+    let input = plan::Input { composition, cameras: None };
     let error = plan::run(&input, &draft(), &plan::Limits::default(), &Context::silent()).unwrap_err();
     assert!(
         matches!(error, PipelineError::Scene(_)) && error.to_string().contains("similarity.scale"),
@@ -239,7 +239,7 @@ fn estimates_hold_within_a_factor_of_two() {
     let root = root.path();
     for (light, name) in [(sunny(), "sun"), (Image::filled(16, 8, 3, 0.5), "overcast")] {
         let composition = write(root, &[similarity(0.0, 0.0, 0.3)], true, &light);
-        let input = plan::Input { composition: composition.clone() };
+        let input = plan::Input { composition: composition.clone(), cameras: None };
         let made = plan::run(&input, &draft(), &plan::Limits::default(), &Context::silent()).unwrap();
         let line = |effect: &str| made.lines.iter().find(|l| l.effect == effect).unwrap();
         let off = Settings { relight: Relight::Off, shadow: Shadow::None, self_occlusion: false, ..draft() };
@@ -281,8 +281,13 @@ fn what_nobody_sees_is_not_tried() {
     let root = tempfile::tempdir().unwrap();
     let root = root.path();
     let plan_of = |composition: PathBuf| {
-        plan::run(&plan::Input { composition }, &draft(), &plan::Limits::default(), &Context::silent())
-            .unwrap()
+        plan::run(
+            &plan::Input { composition, cameras: None },
+            &draft(),
+            &plan::Limits::default(),
+            &Context::silent(),
+        )
+        .unwrap()
     };
     let away = plan_of(write(root, &[similarity(500.0, 0.0, 0.3)], true, &sunny()));
     assert!(away.lines.iter().all(|l| !l.on), "{}", away.to_text());

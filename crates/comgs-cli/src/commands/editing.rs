@@ -40,7 +40,7 @@ pub(super) fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Res
     let mut chosen = settings(&a.editing);
     let mut planned = None;
     if a.tolerance.is_some() || a.budget.is_some() {
-        let input = plan::Input { composition: composition.clone() };
+        let input = plan::Input { composition: composition.clone(), cameras: a.cameras.clone() };
         let limits = plan::Limits { tolerance: a.tolerance.unwrap_or(plan::TOLERANCE), budget_s: a.budget };
         let made = plan::run(&input, &chosen, &limits, context)?;
         write(format_args!("{}", made.to_text()));
@@ -70,7 +70,7 @@ pub(super) fn run_shadow(a: &args::Shadow, context: &Context<'_>) -> anyhow::Res
 }
 
 pub(super) fn run_plan(a: &args::Plan, context: &Context<'_>) -> anyhow::Result<()> {
-    let input = plan::Input { composition: a.composition.clone() };
+    let input = plan::Input { composition: a.composition.clone(), cameras: None };
     let settings = Settings { quality: a.quality.into(), seed: a.seed, ..Settings::default() };
     let limits = plan::Limits { tolerance: a.tolerance, budget_s: a.budget };
     write(format_args!("{}", plan::run(&input, &settings, &limits, context)?.to_text()));

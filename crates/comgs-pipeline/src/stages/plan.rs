@@ -1,11 +1,11 @@
 //! `plan`: which effects a composition calls for, why, and at what cost.
 //!
 //! Effects are tried on small frames, one after the other in the order in which they build on one another
-//! ([`effects::EFFECTS`]): the difference of two neighbouring pilots is what an effect changes, as a viewer sees it, and the
+//! (`effects::EFFECTS`): the difference of two neighbouring pilots is what an effect changes, as a viewer sees it, and the
 //! difference of their times what it costs, scaled to the frames. An effect runs when its change reaches the tolerance, when what
 //! it builds on runs, and, under a budget, when it is among those that change most a second.
 //!
-//! What is not modelled is looked at too ([`unmodelled`]) and listed with its estimate, so that nobody takes silence for
+//! What is not modelled is looked at too (`unmodelled`) and listed with its estimate, so that nobody takes silence for
 //! absence.
 
 pub(crate) mod effects;
@@ -32,6 +32,8 @@ pub const TOLERANCE: f64 = 0.004;
 pub struct Input {
     /// `composition.json`.
     pub composition: PathBuf,
+    /// Cameras instead of the composition's.
+    pub cameras: Option<PathBuf>,
 }
 
 /// What an effect must be worth.
@@ -93,7 +95,8 @@ pub fn run(
 ) -> Result<Plan, PipelineError> {
     context.progress.begin("plan");
     let start = Instant::now();
-    let composition = Composition::load(&input.composition, None, |text| context.progress.warn(&text))?;
+    let composition =
+        Composition::load(&input.composition, input.cameras.as_deref(), |text| context.progress.warn(&text))?;
     let settings = Settings { shadow: Shadow::Auto, ..settings.clone() };
     // The outline of an occluder decides about a pilot of a hundred pixels at a draft's resolution too.
     let draft = Settings { quality: comgs_inverse::Quality::Draft, ..settings.clone() };
