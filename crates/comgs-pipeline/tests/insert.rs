@@ -39,7 +39,7 @@ fn small() -> Config {
     Config {
         camera: CameraFrom::Fov(50.0),
         ground: Ground::Horizon { row: 17.0, height: 1.2 },
-        at: At::Ground([2.6, 0.0]),
+        at: At::Ground([4.0, 0.0]),
         iterations: 120,
         light: LightKind::Gaussians(24),
         light_height: 16,
@@ -86,8 +86,8 @@ fn an_insertion_from_files_to_files() {
         (0..3).map(|c| (composite.pixel(x, y)[c] - photo.pixel(x, y)[c]).abs()).fold(0.0f32, f32::max)
     };
     let most =
-        (18..34).flat_map(|y| (28..44).map(move |x| (x, y))).map(|(x, y)| changed(x, y)).fold(0.0, f32::max);
-    assert!(most > 0.05, "where the tent stands: {most}");
+        (30..40).flat_map(|y| (28..44).map(move |x| (x, y))).map(|(x, y)| changed(x, y)).fold(0.0, f32::max);
+    assert!(most > 0.01, "where the tent stands: {most}");
     assert!(made.record.results["object_pixels"].as_u64().unwrap() > 50);
     assert_eq!(changed(3, 3), 0.0, "the wall");
     let results = &made.record.results;
