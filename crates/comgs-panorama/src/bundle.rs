@@ -154,9 +154,6 @@ pub struct Bundle {
 const SHIPPED_MANIFEST: &[u8] = include_bytes!("../../../assets/panorama/model.json");
 const SHIPPED_GRAPH: &[u8] = include_bytes!("../../../assets/panorama/completer.onnx");
 
-/// Manifests are small.
-const LARGEST_MANIFEST: u64 = 1 << 20;
-
 impl Bundle {
     /// The small model that is part of this program (`assets/panorama`).
     ///
@@ -171,21 +168,26 @@ impl Bundle {
         )
     }
 
-    /// Reads a bundle's folder and checks it: fields, checksums, that declared files are there.
+    /// A bundle from its manifest and what reads its files, checked: fields, checksums, that declared files are there.
+    ///
+    /// * `manifest`: the bytes of `model.json`
+    /// * `path`: where that is; for errors, and its folder for reports
+    /// * `read`: the content of a file of the bundle, by its name
     ///
     /// # Errors
     /// [`ModelError`].
-    pub fn read(folder: &Path) -> Result<Self, ModelError> {
-        let path = folder.join("model.json");
-        let failed = |path: &Path, reason: String| ModelError::Read { path: path.to_owned(), reason };
-        let size = std::fs::metadata(&path).map_err(|e| failed(&path, e.to_string()))?.len();
-        if size > LARGEST_MANIFEST {
-            return Err(failed(&path, format!("{size} bytes are too many for a manifest")));
-        }
-        let text = std::fs::read(&path).map_err(|e| failed(&path, e.to_string()))?;
-        Self::assemble(&text, &path, &folder.display().to_string(), &|entry| {
-            let file = folder.join(&entry.file);
-            std::fs::read(&file).map(Into::into).map_err(|e| failed(&file, e.to_string()))
+    pub fn from_parts(
+        manifest: &[u8],
+        path: &Path,
+        read: &dyn Fn(&str) -> std::io::Result<Vec<u8>>,
+    ) -> Result<Self, ModelError> {
+        let folder = path.parent().unwrap_or(path);
+        Self::assemble(manifest, path, &folder.display().to_string(), &|entry| {
+            let failed = |e: std::io::Error| ModelError::Read {
+                path: folder.join(&entry.file),
+                reason: e.to_string(),
+            };
+            read(&entry.file).map(Into::into).map_err(failed)
         })
     }
 

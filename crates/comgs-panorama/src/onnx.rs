@@ -9,7 +9,7 @@
 mod embedded;
 mod native;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use thiserror::Error;
 
 /// Where graphs are run.
@@ -23,15 +23,6 @@ pub enum Runtime {
 }
 
 impl Runtime {
-    /// The native runtime when the environment variable `ORT_DYLIB_PATH` names its library, else the embedded one.
-    #[must_use]
-    pub fn from_environment() -> Self {
-        match std::env::var_os("ORT_DYLIB_PATH") {
-            Some(path) if !path.is_empty() => Self::Native(path.into()),
-            _ => Self::Embedded,
-        }
-    }
-
     /// Name for reports.
     #[must_use]
     pub fn name(&self) -> &'static str {
@@ -55,16 +46,6 @@ impl Runtime {
             Self::Embedded => Ok(Box::new(embedded::Embedded::load(bytes, label, threads)?)),
             Self::Native(library) => Ok(Box::new(native::Native::load(library, bytes, label, threads)?)),
         }
-    }
-
-    /// [`Runtime::load`] from a file.
-    ///
-    /// # Errors
-    /// As there, and when the file cannot be read.
-    pub fn load_file(&self, path: &Path, threads: usize) -> Result<Box<dyn Graph>, OnnxError> {
-        let bytes = std::fs::read(path)
-            .map_err(|e| OnnxError::Read { graph: path.display().to_string(), reason: e.to_string() })?;
-        self.load(&bytes, &path.display().to_string(), threads)
     }
 }
 

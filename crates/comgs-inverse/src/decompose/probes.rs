@@ -5,7 +5,7 @@ use crate::TrainError;
 use comgs_geom::Camera;
 use comgs_image::Image;
 use comgs_probe::{DepthView, FusionConfig, ProbeConfig, ProbeError, ProbeSet, VisibilityWeight, fuse};
-use comgs_raster::{Planes, RasterConfig, render, surface_normals};
+use comgs_raster::{Planes, RasterConfig, render};
 use comgs_surfel::SurfelCloud;
 use glam::Vec3;
 
@@ -91,7 +91,8 @@ fn depth_view(camera: &Camera, cloud: &SurfelCloud, raster: &RasterConfig) -> De
     };
     let frame = render(cloud, &camera, Planes::GEOMETRY, raster);
     let depth = frame.unbiased_depth(FUSION_WEIGHT);
-    let normal =
-        surface_normals(&frame, &camera).unwrap_or_else(|| Image::zeros(camera.width, camera.height, 3));
+    // The blended ones: they lean towards each eye by some degrees, within what fusion allows, and over several views the
+    // leans cancel; those of the surface are too rough for it where discs are seen by only a few pixels.
+    let normal = frame.normal.unwrap_or_else(|| Image::zeros(camera.width, camera.height, 3));
     DepthView { camera, depth, normal }
 }

@@ -3,10 +3,11 @@
 use crate::{Context, PipelineError, Run};
 use comgs_image::Image;
 use comgs_panorama::{
-    Bundle, Completer, Constant, Harmonic, Learned, Nothing, Partial, Runtime, Samples, SphericalHarmonics,
+    Bundle, Completer, Constant, Harmonic, Learned, ModelError, Nothing, Partial, Runtime, Samples,
+    SphericalHarmonics,
 };
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// How what was never seen is filled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -52,20 +53,39 @@ impl ModelConfig {
     /// The runtime asked for.
     #[must_use]
     pub fn runtime(&self) -> Runtime {
-        self.onnxruntime.clone().map_or_else(Runtime::from_environment, Runtime::Native)
+        let named = || std::env::var_os("ORT_DYLIB_PATH").filter(|p| !p.is_empty()).map(PathBuf::from);
+        self.onnxruntime.clone().or_else(named).map_or(Runtime::Embedded, Runtime::Native)
     }
 
     /// Reads and loads the model.
     ///
     /// # Errors
-    /// [`comgs_panorama::ModelError`].
-    pub fn load(&self) -> Result<Learned, comgs_panorama::ModelError> {
+    /// [`ModelError`].
+    pub fn load(&self) -> Result<Learned, ModelError> {
         let bundle = match &self.model {
-            Some(folder) => Bundle::read(folder)?,
+            Some(folder) => read_bundle(folder)?,
             None => Bundle::shipped()?,
         };
         Learned::new(&bundle, &self.runtime(), self.steps, 0)
     }
+}
+
+/// Manifests are small.
+const LARGEST_MANIFEST: u64 = 1 << 20;
+
+/// Reads a bundle's folder.
+///
+/// # Errors
+/// [`ModelError`]: a file that is missing or damaged, a manifest that is none.
+pub fn read_bundle(folder: &Path) -> Result<Bundle, ModelError> {
+    let path = folder.join("model.json");
+    let failed = |reason: String| ModelError::Read { path: path.clone(), reason };
+    let size = std::fs::metadata(&path).map_err(|e| failed(e.to_string()))?.len();
+    if size > LARGEST_MANIFEST {
+        return Err(failed(format!("{size} bytes are too many for a manifest")));
+    }
+    let manifest = std::fs::read(&path).map_err(|e| failed(e.to_string()))?;
+    Bundle::from_parts(&manifest, &path, &|file| std::fs::read(folder.join(file)))
 }
 
 /// A completed panorama.

@@ -1,6 +1,6 @@
 //! `model check`: what a model bundle holds, whether it runs, and how fast.
 
-use super::completers::ModelConfig;
+use super::completers::{ModelConfig, read_bundle};
 use crate::{Context, PipelineError};
 use comgs_geom::equirect;
 use comgs_image::Image;
@@ -21,7 +21,7 @@ pub fn run(
     context: &Context<'_>,
 ) -> Result<String, PipelineError> {
     let bundle = match folder {
-        Some(folder) => Bundle::read(folder).map_err(comgs_panorama::CompletionError::from)?,
+        Some(folder) => read_bundle(folder).map_err(comgs_panorama::CompletionError::from)?,
         None => Bundle::shipped().map_err(comgs_panorama::CompletionError::from)?,
     };
     let m = &bundle.manifest;
