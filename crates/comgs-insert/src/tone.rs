@@ -172,10 +172,9 @@ mod tests {
         }
     }
 
-    /// Goal: uncorrected curves leave the response and the ratio as they are; the whole gradient, radiance and all 64
-    /// parameters, agrees with finite differences.
+    /// Goal: uncorrected curves leave the response and the ratio as they are (their gradient is tested with the composite's).
     #[test]
-    fn tone_is_identity_at_first_and_differentiable() {
+    fn tone_is_identity_at_first() {
         let curves = Tone::identity(Response::Reinhard).curves();
         for x in [0.0f32, 0.2, 1.0, 7.0] {
             assert!((curves.object(x) - x / (1.0 + x)).abs() < 1e-6);
@@ -185,14 +184,5 @@ mod tests {
                 assert!((curves.ratio(c, k as f32 / 10.0) - k as f32 / 10.0).abs() < 1e-6);
             }
         }
-        let mut tone = Tone::identity(Response::Reinhard);
-        tone.foreground[1] = 0.5;
-        let curves = tone.curves();
-        let mut grad = CurveGradient::default();
-        let by_radiance = curves.object_vjp(0.8, 2.0, &mut grad.foreground);
-        let d = 1e-3;
-        let difference = 2.0 * (curves.object(0.8 + d) - curves.object(0.8 - d)) / (2.0 * d);
-        assert!((by_radiance - difference).abs() < 1e-3 * difference.abs());
-        assert_eq!(grad.flat(&curves).len(), 4 * PARAMETERS);
     }
 }
