@@ -136,7 +136,7 @@ class Completer(nn.Module):
         self.up2 = nn.ModuleList([Block(d + c, c, context), Block(c, c, context)])
         self.up1 = nn.ModuleList([Block(c + b, b, context), Block(b, b, context)])
         self.up0 = Block(b + a, a, context)
-        # Four texels of six codes each; a convolution at the full size took a quarter of the time and gained nothing.
+        # Four texels of six codes each: at the full size the last layers would be a quarter of all multiplications.
         self.last = Conv(a, 24, zero=True)
 
     def forward(self, noisy, time, condition):

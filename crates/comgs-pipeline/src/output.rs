@@ -57,7 +57,7 @@ pub fn refuse_input(output: &Path, what: &str, input: &Path) -> Result<(), Pipel
     match (real(folder), real(output)) {
         (Some(from), Some(to)) if from == to => Err(PipelineError::input(
             "-o",
-            format!("a folder other than the {what}'s, which would be overwritten"),
+            format!("another output than the {what}'s, which would be overwritten"),
             output.display().to_string(),
         )),
         _ => Ok(()),

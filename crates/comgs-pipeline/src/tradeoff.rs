@@ -31,6 +31,12 @@ pub struct Metric {
 }
 
 impl Metric {
+    /// A metric of these fields.
+    #[must_use]
+    pub fn new(key: &str, label: &str, unit: &str, better: Better, digits: usize) -> Self {
+        Self { key: key.into(), label: label.into(), unit: unit.into(), better, digits }
+    }
+
     /// `label (unit)`.
     #[must_use]
     pub fn title(&self) -> String {

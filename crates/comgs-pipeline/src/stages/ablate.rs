@@ -163,21 +163,14 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Swee
 }
 
 fn metrics(relit: bool) -> Vec<Metric> {
-    let metric = |key: &str, label: &str, unit: &str, better, digits| Metric {
-        key: key.into(),
-        label: label.into(),
-        unit: unit.into(),
-        better,
-        digits,
-    };
-    let mut out = vec![metric("albedo_db", "albedo, aligned", "dB", Better::Up, 2)];
+    let mut out = vec![Metric::new("albedo_db", "albedo, aligned", "dB", Better::Up, 2)];
     if relit {
-        out.push(metric("relit_db", "relighting, aligned", "dB", Better::Up, 2));
+        out.push(Metric::new("relit_db", "relighting, aligned", "dB", Better::Up, 2));
     }
     out.extend([
-        metric("normal_deg", "normals", "°", Better::Down, 2),
-        metric("step_ms", "a step", "ms", Better::Down, 1),
-        metric("probe_mb", "probes", "MB", Better::Down, 1),
+        Metric::new("normal_deg", "normals", "°", Better::Down, 2),
+        Metric::new("step_ms", "a step", "ms", Better::Down, 1),
+        Metric::new("probe_mb", "probes", "MB", Better::Down, 1),
     ]);
     out
 }

@@ -59,8 +59,10 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         let expected = "a name that ends in .exr or .hdr (a picture cannot hold the light)";
         return Err(PipelineError::input("-o", expected, input.output.display().to_string()));
     }
-    for path in [Some(&input.partial), input.mask.as_ref(), input.normals.as_ref()].into_iter().flatten() {
-        crate::output::refuse_input(&input.output, "the map to write", path)?;
+    for (what, path) in
+        [("input", Some(&input.partial)), ("mask", input.mask.as_ref()), ("normals", input.normals.as_ref())]
+    {
+        path.map_or(Ok(()), |path| crate::output::refuse_input(&input.output, what, path))?;
     }
     let mut fingerprint = Fingerprint::new("panorama");
     fingerprint.path("input", &input.partial)?;
@@ -79,6 +81,14 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         let what = if coverage > 0.0 { "all known" } else { "all unknown" };
         let expected = "a panorama of which a part is known and a part is not";
         return Err(PipelineError::input("the mask", expected, what.to_owned()));
+    }
+    let broken = partial.rgb.data.chunks_exact(3).zip(&partial.alpha.data);
+    let broken = broken.filter(|(rgb, a)| **a > 0.0 && rgb.iter().any(|v| !v.is_finite())).count();
+    if broken > 0 {
+        run.warn(
+            context,
+            format!("{broken} texels that should be known are no numbers and count as unknown"),
+        );
     }
     let started = std::time::Instant::now();
     let completed = completers::complete(&partial, config.completion, &config.model, &mut run, context)?;

@@ -194,22 +194,15 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Swee
 }
 
 fn metrics(truth: bool) -> Vec<Metric> {
-    let metric = |key: &str, label: &str, unit: &str, better, digits| Metric {
-        key: key.into(),
-        label: label.into(),
-        unit: unit.into(),
-        better,
-        digits,
-    };
-    let mut out = vec![metric("ratio_db", "ratio against rays", "dB", Better::Up, 2)];
+    let mut out = vec![Metric::new("ratio_db", "ratio against rays", "dB", Better::Up, 2)];
     if truth {
-        out.push(metric("truth_db", "shadow region against truth", "dB", Better::Up, 2));
+        out.push(Metric::new("truth_db", "shadow region against truth", "dB", Better::Up, 2));
     }
     out.extend([
-        metric("shadow_ms", "shadow of a frame", "ms", Better::Down, 1),
-        metric("prepare_s", "preparation", "s", Better::Down, 2),
-        metric("bake_s", "of it, once an object", "s", Better::Down, 2),
-        metric("memory_mb", "memory", "MB", Better::Down, 1),
+        Metric::new("shadow_ms", "shadow of a frame", "ms", Better::Down, 1),
+        Metric::new("prepare_s", "preparation", "s", Better::Down, 2),
+        Metric::new("bake_s", "of it, once an object", "s", Better::Down, 2),
+        Metric::new("memory_mb", "memory", "MB", Better::Down, 1),
     ]);
     out
 }
