@@ -50,7 +50,8 @@ def hdri_split(folder):
 
 
 class Library:
-    def __init__(self, hdri_folder, synthetic_folder, limit=None):
+    def __init__(self, hdri_folder, synthetic_folder, limit=None, blended=0.0):
+        self.blended = blended
         train, validation, _ = hdri_split(hdri_folder)
         self.maps = [reduced(read_exr(n)).transpose(2, 0, 1) for n in train]
         self.validation_maps = [reduced(read_exr(n)).transpose(2, 0, 1) for n in validation]
@@ -102,6 +103,13 @@ class Library:
             image = np.roll(image, rng.integers(WIDTH), 2)
             normal = np.zeros_like(image)
             mask = self.mask(rng)
+            if not validate and rng.random() < self.blended:
+                # The geometric mean with another map, turned and in its own scale: places that lie between two photographs.
+                other = np.roll(maps[rng.integers(len(maps))], rng.integers(WIDTH), 2)
+                share = rng.uniform(0.05, 0.4)
+                level = lambda v: np.log(np.maximum(v, 1e-6))
+                a, b = level(image), level(other)
+                image = np.exp(a + share * (b - b.mean() - (a - a.mean()))).astype(np.float32)
             if not validate and rng.random() < 0.5:
                 # Contrast, and a slow gain over the sphere: more rooms than there are maps.
                 image = np.maximum(image, 0) ** rng.uniform(0.85, 1.15)

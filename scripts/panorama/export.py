@@ -54,10 +54,15 @@ def main():
         "about": "Completes a partial panorama to HDR light; trained by scripts/panorama (see its README).",
         "licence": "MIT OR Apache-2.0",
         "resolution": [w, h],
-        "condition": ["reinhard", "log", "known", "clipped", "normal", "direction"],
-        "codes": {
-            "middle": m.MIDDLE, "brightest": m.BRIGHTEST, "reinhard": list(m.REINHARD), "log": list(m.LOG),
-            "fuse": list(m.FUSE), "largest_reinhard": m.LARGEST_REINHARD,
+        "space": {
+            "kind": "codes",
+            "condition": ["reinhard", "log", "known", "clipped", "normal", "direction"],
+            "codes": {
+                "middle": m.MIDDLE, "brightest": m.BRIGHTEST, "reinhard": list(m.REINHARD), "log": list(m.LOG),
+                "fuse": list(m.FUSE), "largest_reinhard": m.LARGEST_REINHARD,
+            },
+            "zeros_at_last_step": True,
+            "mirrored": True,
         },
         "schedule": {
             "timesteps": m.TIMESTEPS, "betas": {"kind": "squared_cosine"}, "prediction": "x0", "spacing": "trailing",
@@ -65,7 +70,6 @@ def main():
         },
         "solver": "ddim",
         "steps": a.steps,
-        "zeros_at_last_step": True,
         "graphs": {
             "denoiser": {
                 "file": "completer.onnx",

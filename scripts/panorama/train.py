@@ -51,7 +51,8 @@ def main():
     p.add_argument("--minutes", type=float, default=1e9, help="stop, with the rates' decay finished, after this time")
     p.add_argument("--batch", type=int, default=16)
     p.add_argument("--rate", type=float, default=2e-3)
-    p.add_argument("--hdri-share", type=float, default=0.4)
+    p.add_argument("--hdri-share", type=float, default=0.3, help="share of examples from photographs")
+    p.add_argument("--blended", type=float, default=0.5, help="share of the photographs that are mixed with another one")
     p.add_argument("--regression-share", type=float, default=0.65, help="share of examples at the last time step")
     p.add_argument("--seed", type=int, default=0)
     p.add_argument("--threads", type=int, default=2)
@@ -62,7 +63,7 @@ def main():
     torch.set_num_threads(a.threads)
     torch.manual_seed(a.seed)
     rng = np.random.default_rng(a.seed)
-    library = Library(a.hdri, a.synthetic, a.limit)
+    library = Library(a.hdri, a.synthetic, a.limit, a.blended)
     dual, normals = not a.no_dual, not a.no_normals
     model = Completer(dual=dual)
     ema = {k: v.clone() for k, v in model.state_dict().items()}

@@ -3,10 +3,14 @@
 //! Nothing is guessed from names or shapes: graphs with checksums, the roles of their inputs and outputs, the channels of
 //! the condition and their order, encodings, schedule, licence. `docs/formats.md` lists the fields.
 
-use crate::codes::Codes;
-use crate::onnx::{Graph, OnnxError, Runtime};
-use crate::schedule::{Schedule, Solver};
-use serde::{Deserialize, Serialize};
+mod manifest;
+
+pub use manifest::{
+    Channels, CodesSpace, Exposures, GraphEntry, HowExposed, ImageChannels, LatentChannels, LatentSpace,
+    Manifest, MaskMeaning, PortEntry, Prompts, Space, Tone, White,
+};
+
+use crate::onnx::{Graph, OnnxError, Runtime, Tensor};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
@@ -53,94 +57,6 @@ pub enum ModelError {
     },
 }
 
-/// What `model.json` holds.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Manifest {
-    /// `comgs-model`.
-    pub format: String,
-    /// Version of this format: 1.
-    pub version: u32,
-    /// Name of the model.
-    pub name: String,
-    /// What it is and how it came about.
-    pub about: String,
-    /// Licence of its weights (SPDX, or a sentence).
-    pub licence: String,
-    /// Width and height it works at.
-    pub resolution: [usize; 2],
-    /// Channels of the condition, in order.
-    pub condition: Vec<Channels>,
-    /// The encodings of radiance.
-    pub codes: Codes,
-    /// How noise was added in training.
-    pub schedule: Schedule,
-    /// The sampler to use.
-    #[serde(default)]
-    pub solver: Solver,
-    /// Steps to take when the user says nothing.
-    pub steps: usize,
-    /// Whether the network was trained with zeros instead of noise at the last training step, so that a single step gives
-    /// the mean.
-    #[serde(default)]
-    pub zeros_at_last_step: bool,
-    /// Its graphs by role: `denoiser`.
-    pub graphs: BTreeMap<String, GraphEntry>,
-}
-
-/// A group of channels of the condition.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Channels {
-    /// Reinhard codes of what is known or clipped, else 0; 3.
-    Reinhard,
-    /// Log codes of the same; 3.
-    Log,
-    /// 1 = known; 1.
-    Known,
-    /// 1 = at least this bright; 1.
-    Clipped,
-    /// Normals of what was seen, 0 where unknown; 3.
-    Normal,
-    /// Directions of the texels; 3.
-    Direction,
-}
-
-impl Channels {
-    /// How many.
-    #[must_use]
-    pub fn count(self) -> usize {
-        match self {
-            Self::Known | Self::Clipped => 1,
-            _ => 3,
-        }
-    }
-}
-
-/// One graph.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GraphEntry {
-    /// Its file in the bundle.
-    pub file: String,
-    /// BLAKE3 of the file, hexadecimal.
-    pub blake3: String,
-    /// Inputs by role: name and shape.
-    pub inputs: BTreeMap<String, PortEntry>,
-    /// Outputs by role.
-    pub outputs: BTreeMap<String, PortEntry>,
-}
-
-/// A declared input or output.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PortEntry {
-    /// Name in the graph.
-    pub name: String,
-    /// Its shape.
-    pub shape: Vec<usize>,
-}
-
 /// A bundle that was read: the manifest and the bytes of its graphs, whose checksums are right.
 #[derive(Clone, Debug)]
 pub struct Bundle {
@@ -150,6 +66,9 @@ pub struct Bundle {
     pub origin: String,
     files: BTreeMap<String, std::borrow::Cow<'static, [u8]>>,
 }
+
+/// What files that are no graphs go by in [`Bundle::files`].
+const PROMPTS: &str = "prompts (embeddings)";
 
 const SHIPPED_MANIFEST: &[u8] = include_bytes!("../../../assets/panorama/model.json");
 const SHIPPED_GRAPH: &[u8] = include_bytes!("../../../assets/panorama/completer.onnx");
@@ -182,12 +101,10 @@ impl Bundle {
         read: &dyn Fn(&str) -> std::io::Result<Vec<u8>>,
     ) -> Result<Self, ModelError> {
         let folder = path.parent().unwrap_or(path);
-        Self::assemble(manifest, path, &folder.display().to_string(), &|entry| {
-            let failed = |e: std::io::Error| ModelError::Read {
-                path: folder.join(&entry.file),
-                reason: e.to_string(),
-            };
-            read(&entry.file).map(Into::into).map_err(failed)
+        Self::assemble(manifest, path, &folder.display().to_string(), &|file| {
+            let failed =
+                |e: std::io::Error| ModelError::Read { path: folder.join(file), reason: e.to_string() };
+            read(file).map(Into::into).map_err(failed)
         })
     }
 
@@ -195,7 +112,7 @@ impl Bundle {
         text: &[u8],
         path: &Path,
         origin: &str,
-        read: &dyn Fn(&GraphEntry) -> Result<std::borrow::Cow<'static, [u8]>, ModelError>,
+        read: &dyn Fn(&str) -> Result<std::borrow::Cow<'static, [u8]>, ModelError>,
     ) -> Result<Self, ModelError> {
         let broken = |problems: Vec<String>| ModelError::Manifest { path: path.to_owned(), problems };
         let manifest: Manifest = serde_json::from_slice(text).map_err(|e| broken(vec![e.to_string()]))?;
@@ -204,17 +121,15 @@ impl Bundle {
             return Err(broken(problems));
         }
         let mut files = BTreeMap::new();
-        for (role, entry) in &manifest.graphs {
-            let bytes = read(entry)?;
+        let graphs = manifest.graphs.iter().map(|(role, g)| (role.as_str(), &g.file, &g.blake3));
+        let prompts = manifest.prompts().map(|p| (PROMPTS, &p.file, &p.blake3));
+        for (role, file, blake3) in graphs.chain(prompts) {
+            let bytes = read(file)?;
             let got = blake3::hash(&bytes).to_hex().to_string();
-            if got != entry.blake3 {
-                return Err(ModelError::Checksum {
-                    graph: entry.file.clone(),
-                    expected: entry.blake3.clone(),
-                    got,
-                });
+            if got != *blake3 {
+                return Err(ModelError::Checksum { graph: file.clone(), expected: blake3.clone(), got });
             }
-            files.insert(role.clone(), bytes);
+            files.insert(role.to_owned(), bytes);
         }
         Ok(Self { manifest, origin: origin.to_owned(), files })
     }
@@ -261,58 +176,31 @@ impl Bundle {
         if problems.is_empty() { Ok(graph) } else { Err(ModelError::Manifest { path, problems }) }
     }
 
-    /// Size of its graphs in bytes.
+    /// A prompt's embedding by its name, `[1, tokens, width]`.
+    ///
+    /// # Errors
+    /// [`ModelError::Manifest`] when the bundle has no such embedding, or its file is no safetensors of `float32`.
+    pub fn embedding(&self, name: &str) -> Result<Tensor, ModelError> {
+        let broken = |what: String| ModelError::Manifest {
+            path: PathBuf::from(&self.origin),
+            problems: vec![format!("space.prompts: {what}")],
+        };
+        let bytes = self.files.get(PROMPTS).ok_or_else(|| broken("missing".into()))?;
+        let file = safetensors::SafeTensors::deserialize(bytes).map_err(|e| broken(e.to_string()))?;
+        let tensor = file
+            .tensor(name)
+            .map_err(|_| broken(format!("no embedding {name:?}; it has {}", file.names().join(", "))))?;
+        if tensor.dtype() != safetensors::Dtype::F32 || tensor.shape().len() != 3 || tensor.shape()[0] != 1 {
+            let got = format!("{:?} of shape {:?}", tensor.dtype(), tensor.shape());
+            return Err(broken(format!("{name}: expected float32 [1, tokens, width], got {got}")));
+        }
+        let values = tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        Ok(Tensor::f32(tensor.shape(), values.collect()))
+    }
+
+    /// Size of its files in bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.files.values().map(|f| f.len()).sum()
-    }
-}
-
-impl Manifest {
-    fn problems(&self) -> Vec<String> {
-        let mut out = Vec::new();
-        if self.format != "comgs-model" {
-            out.push(format!("format: expected \"comgs-model\", got {:?}", self.format));
-        }
-        if self.version != 1 {
-            out.push(format!("version: this program reads 1, got {}", self.version));
-        }
-        let [width, height] = self.resolution;
-        if width != 2 * height || !(8..=4096).contains(&height) {
-            out.push(format!("resolution: expected [2n, n] with n from 8 to 4096, got [{width}, {height}]"));
-        }
-        if !(1..=self.schedule.timesteps.max(1)).contains(&self.steps) {
-            out.push(format!("steps: expected 1 to {}, got {}", self.schedule.timesteps, self.steps));
-        }
-        self.codes.problems(&mut out);
-        self.schedule.problems(&mut out);
-        let condition: usize = self.condition.iter().map(|c| c.count()).sum();
-        match self.graphs.get("denoiser") {
-            None => out.push("graphs.denoiser: missing".into()),
-            Some(graph) => {
-                let mut port =
-                    |what: &str, ports: &BTreeMap<String, PortEntry>, role: &str, shape: &[usize]| {
-                        let at = format!("graphs.denoiser.{what}.{role}");
-                        match ports.get(role) {
-                            None => out.push(format!("{at}: missing")),
-                            Some(p) if p.shape != shape => {
-                                out.push(format!("{at}.shape: expected {shape:?}, got {:?}", p.shape));
-                            }
-                            Some(_) => {}
-                        }
-                    };
-                port("inputs", &graph.inputs, "sample", &[1, 6, height, width]);
-                port("inputs", &graph.inputs, "time", &[1]);
-                port("inputs", &graph.inputs, "condition", &[1, condition, height, width]);
-                port("outputs", &graph.outputs, "prediction", &[1, 6, height, width]);
-            }
-        }
-        for (role, graph) in &self.graphs {
-            let plain = Path::new(&graph.file).components().count() == 1 && !graph.file.contains("..");
-            if !plain || graph.file.is_empty() {
-                out.push(format!("graphs.{role}.file: expected a file in the bundle, got {:?}", graph.file));
-            }
-        }
-        out
     }
 }

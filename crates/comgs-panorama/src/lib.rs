@@ -5,6 +5,7 @@
 //! completion is the baseline without learning that a learned one must beat: the smoothest field of log radiance on
 //! the sphere that agrees with what was seen.
 
+pub mod brackets;
 pub mod bundle;
 pub mod codes;
 pub mod completion;

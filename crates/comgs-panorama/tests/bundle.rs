@@ -41,7 +41,7 @@ fn problems_are_listed_together() {
     let text = message(|m| {
         m["version"] = 2.into();
         m["resolution"] = serde_json::json!([128, 128]);
-        m["codes"]["fuse"] = serde_json::json!([16.0, 8.0]);
+        m["space"]["codes"]["fuse"] = serde_json::json!([16.0, 8.0]);
         m["schedule"]["timesteps"] = 0.into();
         m["graphs"]["denoiser"]["inputs"].as_object_mut().unwrap().remove("time");
     });

@@ -4,6 +4,7 @@ use super::completers::{ModelConfig, read_bundle};
 use crate::{Context, PipelineError};
 use comgs_geom::equirect;
 use comgs_image::Image;
+use comgs_panorama::bundle::{HowExposed, Space};
 use comgs_panorama::{Bundle, Completer, Learned, Partial, Runtime};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -30,7 +31,31 @@ pub fn run(
     let _ = writeln!(text, "  {}", m.about);
     let _ = writeln!(text, "  licence     {}", m.licence);
     let _ = writeln!(text, "  resolution  {}×{}", m.resolution[0], m.resolution[1]);
-    let _ = writeln!(text, "  condition   {:?}", m.condition);
+    match &m.space {
+        Space::Codes(space) => {
+            let _ = writeln!(text, "  space       codes of high dynamic range; shown {:?}", space.condition);
+        }
+        Space::Latent(space) => {
+            let _ = writeln!(
+                text,
+                "  space       latents 1/{}, {} channels; shown {:?}{}; exposures {:?} by {}",
+                space.factor,
+                space.channels,
+                space.condition,
+                if space.image.is_empty() {
+                    String::new()
+                } else {
+                    format!(" and, full size, {:?}", space.image)
+                },
+                space.exposures.ev,
+                match space.exposures.by {
+                    HowExposed::Prompt { .. } => "prompt",
+                    HowExposed::Network { .. } => "a network each",
+                    HowExposed::Scalar { .. } => "a scalar",
+                }
+            );
+        }
+    }
     let _ = writeln!(
         text,
         "  schedule    {} steps, {:?}, predicts {:?}, {:?} spacing; {} taken by default",
