@@ -24,28 +24,32 @@ def blake3(path):
 
 def main():
     p = argparse.ArgumentParser()
-    p.add_argument("checkpoint")
+    p.add_argument("checkpoint", nargs="+", help="of train.py; of several the mean counts")
     p.add_argument("-o", "--output", required=True, help="folder of the bundle")
     p.add_argument("--name", default="comgs-small")
     p.add_argument("--steps", type=int, default=1)
     a = p.parse_args()
-    checkpoint = torch.load(a.checkpoint, weights_only=True)
-    net = m.Completer(dual=checkpoint["dual"])
-    net.load_state_dict(checkpoint["model"])
-    net.eval()
     os.makedirs(a.output, exist_ok=True)
-    path = os.path.join(a.output, "completer.onnx")
     h, w, c = m.HEIGHT, m.WIDTH, len(m.CONDITION)
-    example = (torch.zeros(1, 6, h, w), torch.ones(1), torch.zeros(1, c, h, w))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            net, example, path, opset_version=17, dynamo=False, do_constant_folding=True,
-            input_names=["noisy", "time", "condition"], output_names=["clean"],
-        )
-    graph = onnx.load(path)
-    onnx.checker.check_model(graph)
-    print(sorted({n.op_type for n in graph.graph.node}), os.path.getsize(path), "bytes")
+    several = len(a.checkpoint) > 1
+    paths = []
+    for k, name in enumerate(a.checkpoint):
+        checkpoint = torch.load(name, weights_only=True)
+        net = m.Completer(dual=checkpoint["dual"])
+        net.load_state_dict(checkpoint["model"])
+        net.eval()
+        path = os.path.join(a.output, f"completer_{k}.onnx" if several else "completer.onnx")
+        example = (torch.zeros(1, 6, h, w), torch.ones(1), torch.zeros(1, c, h, w))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            torch.onnx.export(
+                net, example, path, opset_version=17, dynamo=False, do_constant_folding=True,
+                input_names=["noisy", "time", "condition"], output_names=["clean"],
+            )
+        graph = onnx.load(path)
+        onnx.checker.check_model(graph)
+        print(sorted({n.op_type for n in graph.graph.node}), os.path.getsize(path), "bytes")
+        paths.append(path)
     port = lambda name, *shape: {"name": name, "shape": list(shape)}
     manifest = {
         "format": "comgs-model",
@@ -63,6 +67,7 @@ def main():
             },
             "zeros_at_last_step": True,
             "mirrored": True,
+            "networks": len(paths),
         },
         "schedule": {
             "timesteps": m.TIMESTEPS, "betas": {"kind": "squared_cosine"}, "prediction": "x0", "spacing": "trailing",
@@ -71,8 +76,8 @@ def main():
         "solver": "ddim",
         "steps": a.steps,
         "graphs": {
-            "denoiser": {
-                "file": "completer.onnx",
+            f"denoiser_{k}" if several else "denoiser": {
+                "file": os.path.basename(path),
                 "blake3": blake3(path),
                 "inputs": {
                     "sample": port("noisy", 1, 6, h, w),
@@ -81,6 +86,7 @@ def main():
                 },
                 "outputs": {"prediction": port("clean", 1, 6, h, w)},
             }
+            for k, path in enumerate(paths)
         },
     }
     with open(os.path.join(a.output, "model.json"), "w") as f:

@@ -61,7 +61,7 @@ impl Default for Config {
             bins: 600,
             clusters: 8,
             lights: 3,
-            least_gain: 0.08,
+            least_gain: 0.15,
             disc_deg: 2.5,
             seed: 0,
         }

@@ -247,6 +247,18 @@ pub(crate) struct PanoramaEval {
     #[arg(long, value_name = "N,…", value_delimiter = ',')]
     pub more_steps: Vec<usize>,
 
+    /// Judge the mean of this many samples too, at the largest number of steps
+    #[arg(long, value_name = "N,…", value_delimiter = ',')]
+    pub more_samples: Vec<usize>,
+
+    /// Leave out the simple completers
+    #[arg(long)]
+    pub model_only: bool,
+
+    /// Judge as well what exposure brackets and the model's codes can hold of a whole map
+    #[arg(long)]
+    pub representations: bool,
+
     /// Write the figures as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,

@@ -84,6 +84,9 @@ pub(super) fn run_panorama(a: &args::Panorama, context: &Context<'_>) -> anyhow:
                 height: 64,
                 model: (&a.model).into(),
                 more_steps: a.more_steps.clone(),
+                more_samples: a.more_samples.clone(),
+                model_only: a.model_only,
+                representations: a.representations,
             };
             let lines = panorama_eval::run(&input, &config, context)?;
             if let Some(path) = &a.json {

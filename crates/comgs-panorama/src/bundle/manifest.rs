@@ -45,7 +45,7 @@ pub enum Space {
     Latent(LatentSpace),
 }
 
-/// A pixel-space model of high dynamic range. Graph `denoiser`: inputs `sample` `[1, 6, H, W]`, `time` `[1]`, the training step
+/// A pixel-space model of high dynamic range. Graph `denoiser`, or `denoiser_0`, `denoiser_1` … of several whose mean counts: inputs `sample` `[1, 6, H, W]`, `time` `[1]`, the training step
 /// over their number, in (0, 1], and `condition` `[1, C, H, W]`; output `prediction` `[1, 6, H, W]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -62,6 +62,24 @@ pub struct CodesSpace {
     /// mirrored completion.
     #[serde(default)]
     pub mirrored: bool,
+    /// Networks, trained alike from other seeds, whose mean radiance is the completion.
+    #[serde(default = "single")]
+    pub networks: usize,
+}
+
+fn single() -> usize {
+    1
+}
+
+impl CodesSpace {
+    /// Roles of the networks.
+    #[must_use]
+    pub fn roles(&self) -> Vec<String> {
+        match self.networks {
+            1 => vec!["denoiser".into()],
+            n => (0..n).map(|k| format!("denoiser_{k}")).collect(),
+        }
+    }
 }
 
 /// A group of channels of a pixel-space condition.
@@ -398,7 +416,12 @@ impl Manifest {
             out.push(format!("steps: expected 1 to {}, got {}", self.schedule.timesteps, self.steps));
         }
         match &self.space {
-            Space::Codes(codes) => codes.codes.problems(&mut out),
+            Space::Codes(space) => {
+                space.codes.problems(&mut out);
+                if !(1..=16).contains(&space.networks) {
+                    out.push(format!("space.networks: expected 1 to 16, got {}", space.networks));
+                }
+            }
             Space::Latent(latent) => latent.problems(width, height, &mut out),
         }
         self.schedule.problems(&mut out);
@@ -451,7 +474,7 @@ impl Manifest {
                     ("inputs", "condition", sized(condition, height, width)),
                     ("outputs", "prediction", sized(6, height, width)),
                 ];
-                vec![("denoiser".into(), ports)]
+                space.roles().into_iter().map(|role| (role, ports.clone())).collect()
             }
             Space::Latent(space) => {
                 let (w, h, c) = (width / space.factor.max(1), height / space.factor.max(1), space.channels);

@@ -14,8 +14,7 @@ use glam::Vec3;
 /// Network and its space.
 pub(super) struct Pixel {
     space: CodesSpace,
-    entry: GraphEntry,
-    graph: Box<dyn Graph>,
+    networks: Vec<(GraphEntry, Box<dyn Graph>)>,
 }
 
 impl Pixel {
@@ -25,8 +24,11 @@ impl Pixel {
         runtime: &Runtime,
         threads: usize,
     ) -> Result<Self, ModelError> {
-        let graph = bundle.load("denoiser", runtime, threads)?;
-        Ok(Self { space: space.clone(), entry: bundle.manifest.graphs["denoiser"].clone(), graph })
+        let load = |role: String| -> Result<_, ModelError> {
+            Ok((bundle.manifest.graphs[&role].clone(), bundle.load(&role, runtime, threads)?))
+        };
+        let networks = space.roles().into_iter().map(load).collect::<Result<_, _>>()?;
+        Ok(Self { space: space.clone(), networks })
     }
 
     /// Linear radiance of the whole sphere at the model's size, in the panorama's own yaw.
@@ -39,14 +41,16 @@ impl Pixel {
     ) -> Result<Image, CompletionError> {
         let view = View::new(partial, manifest.resolution, self.space.codes.middle)?;
         let level = view.geometric_mean / self.space.codes.middle;
-        let one = |view: &View| -> Result<Image, ModelError> {
-            let codes = self.run(manifest, steps, &self.condition(view, level), seed)?;
-            self.decoded(&codes, view, level)
-        };
-        let mut fill = one(&view)?;
-        if self.space.mirrored {
-            let other = mirrored(&one(&view.mirrored())?);
-            fill.data.iter_mut().zip(&other.data).for_each(|(a, b)| *a = 0.5 * (*a + b));
+        let other = self.space.mirrored.then(|| view.mirrored());
+        let mut fill = Image::zeros(view.width, view.height, 3);
+        let share = 1.0 / (self.networks.len() * (1 + usize::from(self.space.mirrored))) as f32;
+        for k in 0..self.networks.len() {
+            for (seen, flip) in std::iter::once((&view, false)).chain(other.as_ref().map(|o| (o, true))) {
+                let codes = self.run(k, manifest, steps, &self.condition(seen, level), seed)?;
+                let image = self.decoded(&codes, seen, level)?;
+                let image = if flip { mirrored(&image) } else { image };
+                fill.data.iter_mut().zip(&image.data).for_each(|(a, b)| *a += share * b);
+            }
         }
         Ok(joined(partial, &view.back(&binomial(&fill)))?)
     }
@@ -69,6 +73,7 @@ impl Pixel {
 
     fn run(
         &self,
+        network: usize,
         manifest: &Manifest,
         steps: usize,
         condition: &[f32],
@@ -76,8 +81,9 @@ impl Pixel {
     ) -> Result<Vec<f64>, ModelError> {
         let [width, height] = manifest.resolution;
         let n = 6 * width * height;
-        let (sample, time) = (&self.entry.inputs["sample"], &self.entry.inputs["time"]);
-        let (given, prediction) = (&self.entry.inputs["condition"], &self.entry.outputs["prediction"]);
+        let (entry, graph) = &self.networks[network];
+        let (sample, time) = (&entry.inputs["sample"], &entry.inputs["time"]);
+        let (given, prediction) = (&entry.inputs["condition"], &entry.outputs["prediction"]);
         let mut sampler = Sampler::new(&manifest.schedule, manifest.solver, steps);
         let mut rng = Rng::stream(seed, 0x7061_6e6f);
         let mut x: Vec<f64> = (0..n).map(|_| f64::from(rng.normal())).collect();
@@ -92,7 +98,7 @@ impl Pixel {
                 (time.name.as_str(), Tensor::f32(&time.shape, vec![(t + 1) as f32 / total as f32])),
                 (given.name.as_str(), Tensor::f32(&given.shape, condition.to_vec())),
             ];
-            let output = super::finite(&*self.graph, &inputs, &prediction.name, n)?;
+            let output = super::finite(&**graph, &inputs, &prediction.name, n)?;
             codes = sampler.split(i, &x, &output).0;
             x = sampler.step(i, &x, &output);
         }

@@ -2,10 +2,15 @@
 
 use super::completers::ModelConfig;
 use crate::{Context, PipelineError, Status};
+use comgs_image::transfer::{linear_from_srgb, srgb8_from_linear};
 use comgs_image::{Image, read};
-use comgs_metrics::spheres::{Judge, LightErrors, Protocol, SPHERES};
+use comgs_metrics::spheres::{Judge, LightErrors, Protocol, SPHERES, SphereErrors};
+use comgs_panorama::brackets::merge;
+use comgs_panorama::bundle::Space;
 use comgs_panorama::partial::{resized, roll};
-use comgs_panorama::{Bank, Completer, Constant, Harmonic, Partial, SphericalHarmonics};
+use comgs_panorama::{
+    Bank, Bundle, Completer, CompletionError, Constant, Harmonic, Learned, Partial, SphericalHarmonics,
+};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -36,6 +41,13 @@ pub struct Config {
     pub model: ModelConfig,
     /// Further numbers of steps of the model to judge.
     pub more_steps: Vec<usize>,
+    /// Further numbers of samples, whose mean is judged, at the most steps.
+    pub more_samples: Vec<usize>,
+    /// Whether to judge the model alone, without the simple completers.
+    pub model_only: bool,
+    /// Whether to judge as well what the ways to high dynamic range can hold: the whole map through 8-bit pictures at EV 0, −2.5
+    /// and −5 and their merge, and through the shipped model's codes.
+    pub representations: bool,
 }
 
 /// Groups of masks by coverage.
@@ -102,15 +114,24 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Vec<
         return Err(PipelineError::input("panorama eval", "maps and masks", got));
     }
     let model_error = comgs_panorama::CompletionError::from;
-    let mut completers: Vec<Box<dyn Completer>> =
-        vec![Box::new(Constant), Box::new(Harmonic), Box::new(SphericalHarmonics::default())];
-    if !bank.is_empty() {
-        completers.push(Box::new(Bank::new(&bank)));
+    let mut completers: Vec<Box<dyn Completer>> = Vec::new();
+    if !config.model_only {
+        completers.push(Box::new(Constant));
+        completers.push(Box::new(Harmonic));
+        completers.push(Box::new(SphericalHarmonics::default()));
+        if !bank.is_empty() {
+            completers.push(Box::new(Bank::new(&bank)));
+        }
     }
     completers.push(Box::new(config.model.load().map_err(model_error)?));
     for &steps in &config.more_steps {
         let model = ModelConfig { steps: Some(steps), ..config.model.clone() };
         completers.push(Box::new(model.load().map_err(model_error)?));
+    }
+    for &count in &config.more_samples {
+        let steps = config.more_steps.iter().copied().max().or(config.model.steps);
+        let model = ModelConfig { steps, ..config.model.clone() };
+        completers.push(Box::new(MeanOf(model.load().map_err(model_error)?, count)));
     }
     let bad =
         |e: comgs_metrics::MetricError| PipelineError::input("map", "a panorama with light", e.to_string());
@@ -149,31 +170,97 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Vec<
             done += 1;
         }
         for (g, (group, ..)) in GROUPS.iter().enumerate() {
-            let of: Vec<_> = cases.iter().filter(|c| c.0 == g).collect();
-            if of.is_empty() {
-                continue;
+            let of: Vec<_> = cases
+                .iter()
+                .filter(|c| c.0 == g)
+                .map(|(_, errors, seconds)| (errors.clone(), *seconds))
+                .collect();
+            if !of.is_empty() {
+                lines.push(line(group, completer.name(), &of));
             }
-            let mean =
-                |f: &dyn Fn(&LightErrors) -> f64| of.iter().map(|c| f(&c.1)).sum::<f64>() / of.len() as f64;
-            let each = |f: &dyn Fn(&comgs_metrics::spheres::SphereErrors) -> f64| {
-                [0, 1, 2].map(|s| mean(&|e| f(&e.spheres[s])))
-            };
-            lines.push(Line {
-                group: (*group).to_owned(),
-                completer: completer.name(),
-                cases: of.len(),
-                si_rmse: each(&|s| s.si_rmse),
-                angular_deg: each(&|s| s.angular_deg),
-                normalized_rmse: each(&|s| s.normalized_rmse),
-                irradiance: [mean(&|e| e.irradiance), median(of.iter().map(|c| c.1.irradiance))],
-                peak_deg: median(of.iter().map(|c| c.1.peak_deg)),
-                seconds: median(of.iter().map(|c| c.2)),
-            });
         }
+    }
+    if config.representations {
+        lines.extend(representations(&maps, &judges)?);
     }
     lines.sort_by_key(|l| GROUPS.iter().position(|g| g.0 == l.group));
     context.progress.end(&format!("{} maps under {} masks", maps.len(), masks.len()));
     Ok(lines)
+}
+
+/// The group of [`representations`].
+const WHOLE: &str = "whole map";
+
+/// What a map loses that is only written and read, nothing completed.
+fn representations(maps: &[Image], judges: &[Judge]) -> Result<Vec<Line>, PipelineError> {
+    let shipped = Bundle::shipped().map_err(CompletionError::from)?;
+    let Space::Codes(space) = &shipped.manifest.space else {
+        unreachable!("the shipped model's space is codes")
+    };
+    let level = |map: &Image| {
+        let mut values: Vec<f32> = map.data.chunks_exact(3).map(|p| (p[0] + p[1] + p[2]) / 3.0).collect();
+        values.sort_by(f32::total_cmp);
+        values[values.len() * 9 / 10].max(1e-9)
+    };
+    let brackets = |map: &Image| {
+        let white = level(map) / 0.8;
+        let exposed = |ev: f64| {
+            map.map(|v| linear_from_srgb(f32::from(srgb8_from_linear(v / white * ev.exp2() as f32)) / 255.0))
+        };
+        merge(&[0.0, -2.5, -5.0].map(|ev| (ev, exposed(ev)))).map(|v| v * white)
+    };
+    let codes = |map: &Image| {
+        let unit = f64::from(level(map));
+        map.map(|v| (space.codes.decode(space.codes.encode(f64::from(v) / unit)) * unit) as f32)
+    };
+    let ways: [(&str, &dyn Fn(&Image) -> Image); 2] =
+        [("8-bit pictures at EV 0, −2.5, −5, merged", &brackets), ("two codes", &codes)];
+    ways.iter()
+        .map(|(name, way)| {
+            let started = Instant::now();
+            let errors = maps
+                .iter()
+                .zip(judges)
+                .map(|(map, judge)| judge.errors(&way(map)))
+                .collect::<Result<Vec<_>, _>>()
+                .map_err(|e| PipelineError::input("map", "a panorama with light", e.to_string()))?;
+            let seconds = started.elapsed().as_secs_f64() / maps.len().max(1) as f64;
+            let cases: Vec<_> = errors.into_iter().map(|e| (e, seconds)).collect();
+            Ok(line(WHOLE, (*name).to_owned(), &cases))
+        })
+        .collect()
+}
+
+/// Means over cases.
+fn line(group: &str, completer: String, cases: &[(LightErrors, f64)]) -> Line {
+    let n = cases.len() as f64;
+    let mean = |f: &dyn Fn(&LightErrors) -> f64| cases.iter().map(|c| f(&c.0)).sum::<f64>() / n;
+    let each =
+        |f: &dyn Fn(&SphereErrors) -> f64| [0, 1, 2].map(|s| mean(&|e: &LightErrors| f(&e.spheres[s])));
+    Line {
+        group: group.to_owned(),
+        completer,
+        cases: cases.len(),
+        si_rmse: each(&|s| s.si_rmse),
+        angular_deg: each(&|s| s.angular_deg),
+        normalized_rmse: each(&|s| s.normalized_rmse),
+        irradiance: [mean(&|e| e.irradiance), median(cases.iter().map(|c| c.0.irradiance))],
+        peak_deg: median(cases.iter().map(|c| c.0.peak_deg)),
+        seconds: median(cases.iter().map(|c| c.1)),
+    }
+}
+
+/// The mean of several samples of a model.
+struct MeanOf(Learned, usize);
+
+impl Completer for MeanOf {
+    fn name(&self) -> String {
+        format!("{}, mean of {}", self.0.name(), self.1)
+    }
+
+    fn complete(&self, partial: &Partial, seed: u64) -> Result<Image, CompletionError> {
+        Ok(self.0.samples(partial, seed, self.1)?.mean)
+    }
 }
 
 /// The lines as a Markdown table.
