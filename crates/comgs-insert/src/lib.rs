@@ -2,7 +2,7 @@
 //! Insertion with Diffusion-Guided Inverse Rendering").
 //!
 //! Modules in the order of the work: the virtual scene ([`ground`], [`object`]), what light does in it ([`transport`]), the
-//! light and the tone that are optimised ([`light`], [`tone`], [`fusion`]), the picture ([`mod@composite`]), and the
+//! light, the tone and the material that are optimised ([`light`], [`tone`], [`fusion`], [`material`]), the picture ([`mod@composite`]), and the
 //! optimisation under a guidance ([`guidance`], [`mod@optimise`]).
 //! [`preview`](mod@preview) shows the scene beforehand, [`panorama`] says what light a photo itself tells of, and
 //! [`render`](mod@render) makes the final picture at full size. [`session`] has the steps that
@@ -14,6 +14,7 @@ pub mod fusion;
 pub mod ground;
 pub mod guidance;
 pub mod light;
+pub mod material;
 pub mod object;
 pub mod optimise;
 pub mod panorama;
@@ -26,4 +27,4 @@ pub mod tone;
 pub mod transport;
 
 pub use error::InsertError;
-pub use optimise::{Outcome, Problem, Settings, State, optimise};
+pub use optimise::{Outcome, Problem, Settings, State, optimise, optimise_with};
