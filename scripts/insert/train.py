@@ -46,6 +46,7 @@ def main():
     p.add_argument("--rate", type=float, default=1.5e-3)
     p.add_argument("--threads", type=int, default=1)
     p.add_argument("--held-out", type=int, default=24, help="places that training does not see: the last ones")
+    p.add_argument("--resume", help="weights to go on from")
     p.add_argument("--seed", type=int, default=0)
     a = p.parse_args()
     torch.set_num_threads(a.threads)
@@ -54,6 +55,8 @@ def main():
     own, pictures = read(a.data)
     train, held = (own[: -a.held_out], pictures[: -a.held_out]), (own[-a.held_out :], pictures[-a.held_out :])
     net, bar = m.Guide(), m.alphas_bar()
+    if a.resume:
+        net.load_state_dict(torch.load(a.resume, weights_only=True)["model"])
     print(sum(w.numel() for w in net.parameters()), "parameters,", len(train[0]), "places", flush=True)
     optimiser = torch.optim.AdamW(net.parameters(), a.rate, weight_decay=1e-3)
     strongest = int(m.STRONGEST * m.TIMESTEPS)

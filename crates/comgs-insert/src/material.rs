@@ -256,6 +256,12 @@ impl<'a> Search<'a> {
         self.config.height
     }
 
+    /// The object.
+    #[must_use]
+    pub fn object(&self) -> &Object {
+        self.object
+    }
+
     /// The lobes as they were last traced.
     #[must_use]
     pub fn lobes(&self) -> &Lobes {

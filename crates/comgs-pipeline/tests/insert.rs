@@ -31,6 +31,7 @@ fn files(folder: &Path) -> Input {
         camera: None,
         reference: None,
         light: None,
+        model: None,
         output: folder.join("out"),
     }
 }
