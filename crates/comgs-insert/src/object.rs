@@ -146,6 +146,15 @@ impl Object {
         }
     }
 
+    /// Whether anything of the object is made of a part's material: files declare some that nothing is.
+    #[must_use]
+    pub fn has_part(&self, part: usize) -> bool {
+        match &self.shape {
+            Shape::Mesh { mesh, .. } => mesh.material_of.contains(&(part as u32)),
+            Shape::Surfels { .. } => part == 0,
+        }
+    }
+
     /// The factors of a part.
     ///
     /// # Panics

@@ -8,7 +8,8 @@ use comgs_insert::guidance::{Guidance, Reference};
 use comgs_insert::lds::{Distillation, GuidanceBundle, GuidanceError};
 use comgs_insert::light::{Light, LightMap, Texels};
 use comgs_insert::material::{MaterialSettings, Property, Search, Summary};
-use comgs_insert::optimise::Lights;
+use comgs_insert::object::Object;
+use comgs_insert::optimise::{Curves, Lights};
 use comgs_insert::session::{self, TransportConfig};
 use comgs_insert::tone::Tone;
 use comgs_insert::transport::{Foreground, ForegroundConfig, Shadow, ShadowConfig, trace_shadow};
@@ -67,7 +68,15 @@ pub(super) fn find(
         None => None,
     };
     let camera = scene.camera.resized(w, h);
-    let part = config.material.as_ref().map(|choice| named(choice, &scene.object.parts())).transpose()?;
+    let part = config.material.as_ref().map(|choice| named(choice, &scene.object)).transpose()?;
+    if part.is_some() && config.curves == Curves::Free {
+        run.warn(
+            context,
+            "the tone curves are optimised beside the material: the object's brightness is shared between them \
+             (--fixed-tone leaves it to the material)"
+                .to_owned(),
+        );
+    }
     let name = part.map(|k| scene.object.parts()[k].clone());
     let transport_config = TransportConfig {
         height: config.light_height,
@@ -198,14 +207,17 @@ fn read_bundle(folder: &Path) -> Result<GuidanceBundle, PipelineError> {
 }
 
 /// The part that is meant.
-fn named(choice: &MaterialChoice, parts: &[String]) -> Result<usize, PipelineError> {
-    let list = parts.join(", ");
-    match &choice.part {
-        None if parts.len() == 1 => Ok(0),
-        None => Err(PipelineError::input("--material", format!("PART:…, a part of {list}"), "no part")),
-        Some(name) => parts
+fn named(choice: &MaterialChoice, object: &Object) -> Result<usize, PipelineError> {
+    let parts = object.parts();
+    let there: Vec<usize> = (0..parts.len()).filter(|k| object.has_part(*k)).collect();
+    let list = there.iter().map(|k| parts[*k].as_str()).collect::<Vec<_>>().join(", ");
+    match (&choice.part, there.as_slice()) {
+        (None, [only]) => Ok(*only),
+        (None, _) => Err(PipelineError::input("--material", format!("PART:…, a part of {list}"), "no part")),
+        (Some(name), _) => there
             .iter()
-            .position(|p| p == name)
+            .copied()
+            .find(|k| parts[*k] == *name)
             .ok_or_else(|| PipelineError::input("--material", format!("a part of {list}"), name.clone())),
     }
 }
