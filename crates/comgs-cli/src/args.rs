@@ -20,7 +20,7 @@ pub(crate) use editing::{
 };
 pub(crate) use frames::{Compose, Relight, Render, SelfShadow};
 pub(crate) use insert::{
-    CameraArgument, GuidanceArgument, Insert, InsertEval, ObjUp, Plane, ResponseArgument,
+    CameraArgument, FillArgument, GuidanceArgument, Insert, InsertEval, ObjUp, Plane, ResponseArgument,
 };
 pub(crate) use judges::{Ablate, AblateWhat, Eval};
 pub(crate) use objects::{Decompose, Export, Material, Preset, Reconstruct, Visibility};

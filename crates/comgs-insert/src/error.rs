@@ -34,6 +34,9 @@ pub enum InsertError {
         /// Bytes allowed.
         limit: usize,
     },
+    /// The models of the guidance.
+    #[error(transparent)]
+    Guidance(#[from] crate::lds::GuidanceError),
     /// A parameter became NaN or infinite.
     #[error("the optimisation diverged at iteration {iteration}")]
     Diverged {

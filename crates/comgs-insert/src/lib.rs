@@ -2,8 +2,8 @@
 //! Insertion with Diffusion-Guided Inverse Rendering").
 //!
 //! Modules in the order of the work: the virtual scene ([`ground`], [`object`]), what light does in it ([`transport`]), the
-//! light and the tone that are optimised ([`light`], [`tone`], [`fusion`]), the picture ([`mod@composite`]), and the
-//! optimisation under a guidance ([`guidance`], [`mod@optimise`]).
+//! light, the tone and the material that are optimised ([`light`], [`tone`], [`fusion`], [`material`]), the picture ([`mod@composite`]), and the
+//! optimisation under a guidance ([`guidance`], [`lds`], [`mod@optimise`]).
 //! [`preview`](mod@preview) shows the scene beforehand, [`panorama`] says what light a photo itself tells of, and
 //! [`render`](mod@render) makes the final picture at full size. [`session`] has the steps that
 //! the stage and the benchmark share.
@@ -13,7 +13,9 @@ mod error;
 pub mod fusion;
 pub mod ground;
 pub mod guidance;
+pub mod lds;
 pub mod light;
+pub mod material;
 pub mod object;
 pub mod optimise;
 pub mod panorama;
@@ -26,4 +28,4 @@ pub mod tone;
 pub mod transport;
 
 pub use error::InsertError;
-pub use optimise::{Outcome, Problem, Settings, State, optimise};
+pub use optimise::{Outcome, Problem, Settings, State, optimise, optimise_with};

@@ -6,6 +6,7 @@ use comgs_scene::Mesh;
 use comgs_surfel::{SurfelCloud, activation::sigmoid};
 use comgs_trace::{MeshTracer, TraceConfig, Tracer};
 use glam::{DVec3, Vec2, Vec3};
+use serde::Serialize;
 
 /// A point of the object as a ray meets it.
 #[derive(Clone, Copy, Debug)]
@@ -20,10 +21,40 @@ pub struct Surface {
     pub face_normal: Vec3,
     /// Unit shading normal, bent where it would look away from the viewer.
     pub normal: Vec3,
-    /// What it is made of.
+    /// What it is made of: the part's factors times `texel`, each cut to [0, 1].
     pub material: Material,
     /// Radiance that it sends out itself.
     pub emission: Vec3,
+    /// Which part of the object it belongs to ([`Object::parts`]).
+    pub part: u32,
+    /// What the part's factors multiply: textures of a mesh, the surfels' own values.
+    pub texel: Material,
+}
+
+/// The factors of a part's material, as glTF has them: each multiplies a texture.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Factors {
+    /// On the base colour, linear.
+    pub albedo: Vec3,
+    /// On the perceptual roughness.
+    pub roughness: f32,
+    /// On the metalness.
+    pub metallic: f32,
+    /// Radiance sent out, linear.
+    pub emission: Vec3,
+}
+
+impl Factors {
+    /// What surfels start with: their own values.
+    pub const ONE: Self = Self { albedo: Vec3::ONE, roughness: 1.0, metallic: 1.0, emission: Vec3::ZERO };
+
+    fn on(&self, texel: Material) -> Material {
+        Material {
+            albedo: (texel.albedo * self.albedo).clamp(Vec3::ZERO, Vec3::ONE),
+            roughness: (texel.roughness * self.roughness).clamp(0.0, 1.0),
+            metallic: (texel.metallic * self.metallic).clamp(0.0, 1.0),
+        }
+    }
 }
 
 /// Least cosine between the shading normal and the direction to the viewer.
@@ -42,7 +73,7 @@ const SURFACE_WEIGHT: f32 = 0.02;
 #[derive(Debug)]
 enum Shape {
     Mesh { tracer: MeshTracer, mesh: Box<Mesh> },
-    Surfels { tracer: Box<Tracer>, normals: Vec<Vec3>, materials: Vec<Material> },
+    Surfels { tracer: Box<Tracer>, normals: Vec<Vec3>, materials: Vec<Material>, factors: Factors },
 }
 
 /// An object in the world.
@@ -55,29 +86,6 @@ pub struct Object {
     pub centre: Vec3,
     /// Its radius.
     pub radius: f32,
-    /// Sets one material for the whole object, in place of its own; `None` leaves the object's.
-    pub replaced: Option<Replacement>,
-}
-
-/// Values that replace the object's own, where given.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Replacement {
-    /// Multiplies the base colour.
-    pub albedo_factor: Option<Vec3>,
-    /// Replaces roughness.
-    pub roughness: Option<f32>,
-    /// Replaces metalness.
-    pub metallic: Option<f32>,
-}
-
-impl Replacement {
-    fn apply(&self, m: Material) -> Material {
-        Material {
-            albedo: (m.albedo * self.albedo_factor.unwrap_or(Vec3::ONE)).clamp(Vec3::ZERO, Vec3::ONE),
-            roughness: self.roughness.unwrap_or(m.roughness),
-            metallic: self.metallic.unwrap_or(m.metallic),
-        }
-    }
 }
 
 /// Centre and radius of the sphere around a box.
@@ -100,13 +108,7 @@ impl Object {
         let bounds = mesh.bounds()?;
         let (centre, radius) = sphere(bounds);
         let tracer = MeshTracer::new(&mesh.positions, &mesh.triangles);
-        Some(Self {
-            shape: Shape::Mesh { tracer, mesh: Box::new(mesh) },
-            bounds,
-            centre,
-            radius,
-            replaced: None,
-        })
+        Some(Self { shape: Shape::Mesh { tracer, mesh: Box::new(mesh) }, bounds, centre, radius })
     }
 
     /// Decomposed surfels, moved to the world. `None` when there are none or they have no material.
@@ -125,8 +127,77 @@ impl Object {
         let bounds = cloud.bounds()?;
         let (centre, radius) = sphere(bounds);
         let tracer = Box::new(Tracer::new(&cloud, &TraceConfig::occlusion()).ok()?);
-        let shape = Shape::Surfels { tracer, normals, materials };
-        Some(Self { shape, bounds, centre, radius, replaced: None })
+        let shape = Shape::Surfels { tracer, normals, materials, factors: Factors::ONE };
+        Some(Self { shape, bounds, centre, radius })
+    }
+
+    /// Names of the parts that have a material of their own: a mesh's materials in their order (`material N` where the file
+    /// names none), or `object` alone for surfels.
+    #[must_use]
+    pub fn parts(&self) -> Vec<String> {
+        match &self.shape {
+            Shape::Mesh { mesh, .. } => {
+                let name = |(k, m): (usize, &comgs_scene::MeshMaterial)| {
+                    if m.name.is_empty() { format!("material {k}") } else { m.name.clone() }
+                };
+                mesh.materials.iter().enumerate().map(name).collect()
+            }
+            Shape::Surfels { .. } => vec!["object".into()],
+        }
+    }
+
+    /// Whether anything of the object is made of a part's material: files declare some that nothing is.
+    #[must_use]
+    pub fn has_part(&self, part: usize) -> bool {
+        match &self.shape {
+            Shape::Mesh { mesh, .. } => mesh.material_of.contains(&(part as u32)),
+            Shape::Surfels { .. } => part == 0,
+        }
+    }
+
+    /// The factors of a part.
+    ///
+    /// # Panics
+    /// When there is no such part.
+    #[must_use]
+    pub fn factors(&self, part: usize) -> Factors {
+        match &self.shape {
+            Shape::Mesh { mesh, .. } => {
+                let m = &mesh.materials[part];
+                Factors {
+                    albedo: m.albedo,
+                    roughness: m.roughness,
+                    metallic: m.metallic,
+                    emission: m.emission,
+                }
+            }
+            Shape::Surfels { factors, .. } => *factors,
+        }
+    }
+
+    /// Changes the factors of a part; whatever was traced before no longer holds for it.
+    ///
+    /// # Panics
+    /// When there is no such part.
+    pub fn set_factors(&mut self, part: usize, new: Factors) {
+        match &mut self.shape {
+            Shape::Mesh { mesh, .. } => {
+                let m = &mut mesh.materials[part];
+                (m.albedo, m.roughness, m.metallic, m.emission) =
+                    (new.albedo, new.roughness, new.metallic, new.emission);
+            }
+            Shape::Surfels { factors, .. } => *factors = new,
+        }
+    }
+
+    /// The largest factor that a part may take on colour, roughness and metalness: 1 for a mesh, whose factors are in
+    /// [0, 1] by glTF, 4 for surfels, whose own values are to be made brighter too.
+    #[must_use]
+    pub fn largest_factor(&self) -> f32 {
+        match &self.shape {
+            Shape::Mesh { .. } => 1.0,
+            Shape::Surfels { .. } => 4.0,
+        }
     }
 
     /// The first surface along a unit direction.
@@ -144,8 +215,10 @@ impl Object {
                 let normal = (na * weights.x + nb * weights.y + nc * weights.z).normalize_or(face);
                 let [ua, ub, uc] = t.map(|i| mesh.uvs[i]);
                 let uv: Vec2 = ua * weights.x + ub * weights.y + uc * weights.z;
-                let own = &mesh.materials[mesh.material_of[hit.triangle as usize] as usize];
-                let (albedo, roughness, metallic) = own.at(uv);
+                let part = mesh.material_of[hit.triangle as usize];
+                let (albedo, roughness, metallic) = mesh.materials[part as usize].texel(uv);
+                let texel = Material { albedo, roughness, metallic };
+                let factors = self.factors(part as usize);
                 Surface {
                     coverage: 1.0,
                     // From the corners, which is exact to rounding; from the ray it would be off by the distance.
@@ -153,21 +226,21 @@ impl Object {
                     distance: hit.t,
                     face_normal: face * side,
                     normal: normal * side,
-                    material: Material { albedo, roughness, metallic },
-                    emission: own.emission,
+                    material: factors.on(texel),
+                    emission: factors.emission,
+                    part,
+                    texel,
                 }
             }
-            Shape::Surfels { tracer, normals, materials } => {
-                blended(tracer, normals, materials, origin, direction)?
+            Shape::Surfels { tracer, normals, materials, factors } => {
+                let surface = blended(tracer, normals, materials, origin, direction)?;
+                Surface { material: factors.on(surface.texel), emission: factors.emission, ..surface }
             }
         };
         let cosine = -surface.normal.dot(direction);
         if cosine < GRAZING {
             surface.normal =
                 (surface.normal - (GRAZING - cosine) * direction).normalize_or(surface.face_normal);
-        }
-        if let Some(replaced) = &self.replaced {
-            surface.material = replaced.apply(surface.material);
         }
         Some(surface)
     }
@@ -238,18 +311,18 @@ fn blended(
     }
     let normal = normal.normalize_or(-direction);
     let distance = depth / weight;
+    let texel =
+        Material { albedo: albedo / weight, roughness: roughness / weight, metallic: metallic / weight };
     Some(Surface {
         coverage: weight.min(1.0),
         position: origin + direction * distance,
         distance,
         face_normal: normal,
         normal,
-        material: Material {
-            albedo: albedo / weight,
-            roughness: roughness / weight,
-            metallic: metallic / weight,
-        },
+        material: texel,
         emission: Vec3::ZERO,
+        part: 0,
+        texel,
     })
 }
 

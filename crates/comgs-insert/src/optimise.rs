@@ -2,9 +2,10 @@
 
 use crate::composite::{Crop, composite, composite_vjp};
 use crate::error::InsertError;
-use crate::fusion::{blend, concentration, consistency, fuse};
+use crate::fusion::{Fusion, blend, concentration, consistency, fuse};
 use crate::guidance::{Guidance, View};
 use crate::light::{Light, LightMap};
+use crate::material::Search;
 use crate::tone::Tone;
 use crate::transport::{Foreground, Shadow};
 use comgs_geom::Rng;
@@ -33,6 +34,16 @@ pub enum Curves {
     Fixed,
 }
 
+/// Whether the light is optimised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Lights {
+    /// With everything else.
+    Free,
+    /// It stays as it is; what remains is tone and material.
+    Fixed,
+}
+
 /// Which part of the image an iteration looks at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -58,6 +69,8 @@ pub struct Settings {
     pub light_rate: f32,
     /// Learning rate of the tone curves.
     pub tone_rate: f32,
+    /// Whether there is a light to find.
+    pub lights: Lights,
     /// Whether there is a tone to learn.
     pub curves: Curves,
     /// What an iteration looks at.
@@ -83,6 +96,7 @@ impl Settings {
             smoothness: 0.02,
             light_rate: 0.05,
             tone_rate: 0.005,
+            lights: Lights::Free,
             curves: Curves::Free,
             crops: Crops::Random,
             seed: 0,
@@ -125,22 +139,38 @@ pub struct Outcome {
     pub dropped: usize,
 }
 
-/// Optimises light and tone. `check` is asked before every iteration with its number, and stops the work when it says
+/// Optimises light and tone: [`optimise_with`] without a material.
+///
+/// # Errors
+/// As [`optimise_with`].
+pub fn optimise(
+    problem: Option<&Problem<'_>>,
+    state: State,
+    guidance: &mut dyn Guidance,
+    settings: &Settings,
+    check: impl FnMut(usize) -> bool,
+) -> Result<Outcome, InsertError> {
+    optimise_with(problem, state, guidance, settings, None, check)
+}
+
+/// Optimises light, tone and a part's material, where there is a `material` to look for. `check` is asked before every iteration with its number, and stops the work when it says
 /// `false`.
 ///
 /// Both lights are rasterised and fused; the object is lit by `s · fused + (1 − s) · own` and likewise the shadow, with s
 /// from 0 at the first to 1 at the last iteration (Eq. 15–18). All of it is differentiated by hand.
 ///
-/// `problem` may be absent for a guidance that does not look at the composite; nothing is rendered for it.
+/// `problem` may be absent for a guidance that does not look at the composite; nothing is rendered for it. With a
+/// `material` the object's radiance is that of its lobes, and `problem.foreground` only its outline.
 ///
 /// # Errors
 /// [`InsertError::Stopped`], [`InsertError::Diverged`], the guidance's own, or [`InsertError::Input`] when the guidance looks at
 /// a composite and there is no problem to make one of.
-pub fn optimise(
+pub fn optimise_with(
     problem: Option<&Problem<'_>>,
     mut state: State,
     guidance: &mut dyn Guidance,
     settings: &Settings,
+    mut material: Option<&mut Search<'_>>,
     mut check: impl FnMut(usize) -> bool,
 ) -> Result<Outcome, InsertError> {
     let mut adams = [
@@ -176,7 +206,9 @@ pub fn optimise(
                     Crops::Whole => Crop::whole(problem.photo),
                     Crops::Random => random_crop(problem.photo, object, &mut rng),
                 };
-                Pass { problem, tone: &state.tone, crop }.run(guidance, iteration, progress, &lit)?
+                let lights = settings.lights;
+                let pass = Pass { problem, tone: &state.tone, crop, lights };
+                pass.run(guidance, material.as_deref_mut(), iteration, progress, &lit)?
             }
             None => {
                 let crop = Crop { x0: 0, y0: 0, x1: 0, y1: 0 };
@@ -186,32 +218,15 @@ pub fn optimise(
             }
         };
 
-        let height = own[0].height;
-        let mut by_fused = LightMap::zeros(height);
-        let mut by_own = [LightMap::zeros(height), LightMap::zeros(height)];
-        for (by_lit, by_own) in by_lit.iter().zip(&mut by_own) {
-            for (i, g) in by_lit.data.iter().enumerate() {
-                by_fused.data[i] += progress * g;
-                by_own.data[i] += (1.0 - progress) * g;
-            }
-        }
-        let [by_foreground, by_shadow] = &mut by_own;
-        fusion.vjp(&own[0], &by_fused, by_foreground, by_shadow);
-        losses.push(Losses {
-            guidance: loss,
-            consistency: consistency(&own[0], &own[1], settings.consistency, by_foreground),
-            concentration: concentration(&own[1], settings.concentration, by_shadow),
-        });
         let step = iteration as u32 + 1;
-        let rate = settings.light_rate * 0.1f32.powf(progress);
-        let lights = [&mut state.foreground, &mut state.shadow];
-        for (k, light) in lights.into_iter().enumerate() {
-            let mut grad = light.rasterise_vjp(&own[k], &by_own[k]);
-            light.prior(settings.smoothness, &mut grad);
-            dropped += light.step(&mut adams[k], &grad, rate, step);
-            if light.parameters().iter().any(|p| !p.is_finite()) {
-                return Err(InsertError::Diverged { iteration });
-            }
+        let mut now = Losses { guidance: loss, consistency: 0.0, concentration: 0.0 };
+        if settings.lights == Lights::Free {
+            let (own, by_lit) = ([&own[0], &own[1]], [&by_lit[0], &by_lit[1]]);
+            dropped += step_lights(&mut state, &mut adams, &fusion, own, by_lit, settings, step, &mut now)?;
+        }
+        losses.push(now);
+        if let Some(material) = material.as_deref_mut() {
+            dropped += material.step(step, progress)?;
         }
         if let (Curves::Free, Some(grad)) = (settings.curves, by_tone) {
             dropped += state.tone.step(&mut adams[2], &grad, settings.tone_rate, step);
@@ -219,6 +234,46 @@ pub fn optimise(
     }
     let light = fuse(&state.foreground.rasterise(), &state.shadow.rasterise()).map;
     Ok(Outcome { state, light, losses, dropped })
+}
+
+/// One step of both lights (`step` counts from 1), with their regularisers, whose losses are written to `losses`.
+/// Returns how many gradient entries were not finite.
+fn step_lights(
+    state: &mut State,
+    adams: &mut [Adam; 3],
+    fusion: &Fusion,
+    own: [&LightMap; 2],
+    by_lit: [&LightMap; 2],
+    settings: &Settings,
+    step: u32,
+    losses: &mut Losses,
+) -> Result<usize, InsertError> {
+    let iteration = step as usize - 1;
+    let progress = iteration as f32 / (settings.iterations - 1).max(1) as f32;
+    let height = own[0].height;
+    let mut by_fused = LightMap::zeros(height);
+    let mut by_own = [LightMap::zeros(height), LightMap::zeros(height)];
+    for (by_lit, by_own) in by_lit.iter().zip(&mut by_own) {
+        for (i, g) in by_lit.data.iter().enumerate() {
+            by_fused.data[i] += progress * g;
+            by_own.data[i] += (1.0 - progress) * g;
+        }
+    }
+    let [by_foreground, by_shadow] = &mut by_own;
+    fusion.vjp(own[0], &by_fused, by_foreground, by_shadow);
+    losses.consistency = consistency(own[0], own[1], settings.consistency, by_foreground);
+    losses.concentration = concentration(own[1], settings.concentration, by_shadow);
+    let rate = settings.light_rate * 0.1f32.powf(progress);
+    let mut dropped = 0;
+    for (k, light) in [&mut state.foreground, &mut state.shadow].into_iter().enumerate() {
+        let mut grad = light.rasterise_vjp(own[k], &by_own[k]);
+        light.prior(settings.smoothness, &mut grad);
+        dropped += light.step(&mut adams[k], &grad, rate, step);
+        if light.parameters().iter().any(|p| !p.is_finite()) {
+            return Err(InsertError::Diverged { iteration });
+        }
+    }
+    Ok(dropped)
 }
 
 /// No gradient.
@@ -231,6 +286,7 @@ struct Pass<'a> {
     problem: &'a Problem<'a>,
     tone: &'a Tone,
     crop: Crop,
+    lights: Lights,
 }
 
 impl Pass<'_> {
@@ -238,6 +294,7 @@ impl Pass<'_> {
     fn run(
         &self,
         guidance: &mut dyn Guidance,
+        mut material: Option<&mut Search<'_>>,
         iteration: usize,
         progress: f32,
         lit: &[LightMap; 2],
@@ -246,7 +303,11 @@ impl Pass<'_> {
         let crop = self.crop;
         let curves = self.tone.curves();
         let inside = |pixels: &[u32], row: usize| crop.contains(pixels[row] as usize, photo.width);
-        let radiance = foreground.matrix.times(&lit[0], |row| inside(&foreground.pixels, row));
+        let shown = |row: usize| inside(&foreground.pixels, row);
+        let radiance = match material.as_deref_mut() {
+            Some(material) => material.radiance(&lit[0], shown),
+            None => foreground.matrix.times(&lit[0], shown),
+        };
         let ratios = shadow.ratios(&lit[1], |row| inside(&shadow.pixels, row));
         let image = composite(photo, foreground, shadow, &radiance, &ratios.beta, &curves, crop);
         let light = [&lit[0], &lit[1]];
@@ -255,8 +316,15 @@ impl Pass<'_> {
         let Some(grad) = pull.composite else { return Ok((pull.loss, by_lit, None)) };
         let (by_radiance, by_beta, by_curves) =
             composite_vjp(photo, foreground, shadow, &radiance, &ratios.beta, &curves, crop, &grad);
-        foreground.matrix.transposed(&by_radiance, &mut by_lit[0]);
-        shadow.ratios_vjp(&ratios, &by_beta, &mut by_lit[1]);
+        let free = self.lights == Lights::Free;
+        match material {
+            Some(material) => material.radiance_vjp(&by_radiance, free.then_some(&mut by_lit[0])),
+            None if free => foreground.matrix.transposed(&by_radiance, &mut by_lit[0]),
+            None => {}
+        }
+        if free {
+            shadow.ratios_vjp(&ratios, &by_beta, &mut by_lit[1]);
+        }
         Ok((pull.loss, by_lit, Some(by_curves.flat(&curves))))
     }
 }

@@ -124,3 +124,16 @@ pub fn consistency(foreground: &[f64], shadow: &[f64], omega: &[f64]) -> f64 {
     let (p, q) = (normalised(foreground), normalised(shadow));
     -(0..omega.len()).map(|i| q[i] * p[i].ln() * omega[i]).sum::<f64>()
 }
+
+/// A row of a part's radiance from its material (colour, place between roughnesses, metalness, emission) followed by the five
+/// lobes (see [`crate::material`]).
+pub fn part_row(x: &[f64], share: f64, tint: [f64; 3], metallic: f64, rest: [f64; 3]) -> [f64; 3] {
+    let (tau, m, lobes) = (x[3], x[4] * metallic, &x[8..]);
+    std::array::from_fn(|c| {
+        let a = x[c] * tint[c];
+        let f0 = 0.04 * (1.0 - m) + m * a;
+        let at = |lobe: usize| lobes[3 * lobe + c];
+        let highlight = |low: usize, high: usize| (1.0 - tau) * at(low) + tau * at(high);
+        (1.0 - m) * a * at(0) + f0 * highlight(1, 3) + highlight(2, 4) + share * x[5 + c] + rest[c]
+    })
+}

@@ -72,15 +72,21 @@ pub struct Transport {
     pub height: usize,
 }
 
-/// Largest number of rows, halving from `wanted`, whose matrix for `pixels` pixels is sure to fit into `memory` bytes.
+/// Largest number of rows, halving from `wanted`, whose matrices of `channels` values an entry for `pixels` pixels are sure
+/// to fit into `memory` bytes.
 ///
 /// # Errors
 /// [`InsertError::Memory`].
-pub fn fitting_height(pixels: usize, wanted: usize, memory: usize) -> Result<usize, InsertError> {
+pub fn fitting_height(
+    pixels: usize,
+    wanted: usize,
+    channels: usize,
+    memory: usize,
+) -> Result<usize, InsertError> {
     let mut height = wanted;
-    while most_bytes(pixels, height, 3) > memory {
+    while most_bytes(pixels, height, channels) > memory {
         if height / 2 < LEAST_HEIGHT || !(height / 2).is_multiple_of(2) {
-            let needed = most_bytes(pixels, height, 3);
+            let needed = most_bytes(pixels, height, channels);
             return Err(InsertError::Memory { pixels, height, needed, limit: memory });
         }
         height /= 2;
@@ -103,7 +109,7 @@ pub fn trace(
     if pixels == 0 {
         return Err(out_of_frame(object, camera));
     }
-    let height = fitting_height(pixels, config.height, config.memory)?;
+    let height = fitting_height(pixels, config.height, 3, config.memory)?;
     fg.height = height;
     let foreground = trace_foreground(object, camera, &fg, &check).ok_or(InsertError::Stopped)?;
     let sh = ShadowConfig { height, seed: config.seed, ..ShadowConfig::default() };
@@ -212,9 +218,9 @@ mod tests {
     /// Goal: the map is made coarser until its matrix is sure to fit, and what never fits is refused with numbers.
     #[test]
     fn matrices_are_sized_before_they_are_made() {
-        assert_eq!(fitting_height(1000, 32, 1 << 30).unwrap(), 32);
-        assert_eq!(fitting_height(1000, 32, 8 << 20).unwrap(), 16);
-        let error = fitting_height(1_000_000, 32, 1 << 20).unwrap_err();
+        assert_eq!(fitting_height(1000, 32, 3, 1 << 30).unwrap(), 32);
+        assert_eq!(fitting_height(1000, 32, 3, 8 << 20).unwrap(), 16);
+        let error = fitting_height(1_000_000, 32, 3, 1 << 20).unwrap_err();
         assert!(matches!(error, InsertError::Memory { height: 8, pixels: 1_000_000, .. }), "{error}");
         assert!(error.to_string().contains("--memory"));
     }

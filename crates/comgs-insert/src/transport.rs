@@ -6,11 +6,13 @@
 //! consecutive texels, so that a product runs over slices.
 
 mod foreground;
+mod lobes;
 mod matrix;
 mod shadow;
 
 pub(crate) use foreground::look;
 pub use foreground::{Foreground, ForegroundConfig, count_pixels, trace_foreground};
+pub use lobes::{LobeRow, Lobes, PartShare, lobe_channels, trace_lobes};
 pub use matrix::{Matrix, Row};
 pub use shadow::{DARK, Ratios, Shadow, ShadowConfig, trace_shadow};
 

@@ -297,6 +297,12 @@ impl Shading {
         self.material
     }
 
+    /// The unit direction it is seen from, away from the surface.
+    #[must_use]
+    pub fn view(&self) -> Vec3 {
+        self.view
+    }
+
     /// n·v.
     #[inline]
     #[must_use]

@@ -2,10 +2,12 @@
 
 use comgs_image::{Image, read, write_exr, write_png};
 use comgs_insert::ground::Ground;
+use comgs_insert::material::Property;
 use comgs_insert::optimise::Curves;
 use comgs_insert::render::Samples;
 use comgs_insert::session::LightKind;
-use comgs_pipeline::stages::insert::{self, At, CameraFrom, Config, GuidedBy, Input};
+use comgs_insert::tone::Response;
+use comgs_pipeline::stages::insert::{self, At, CameraFrom, Config, Filled, GuidedBy, Input, MaterialChoice};
 use comgs_pipeline::stages::insert_eval;
 use comgs_pipeline::{CancelToken, Context, PipelineError, Silent};
 use std::path::{Path, PathBuf};
@@ -31,6 +33,7 @@ fn files(folder: &Path) -> Input {
         camera: None,
         reference: None,
         light: None,
+        model: None,
         output: folder.join("out"),
     }
 }
@@ -250,4 +253,69 @@ fn the_benchmark() {
     assert!(
         root.path().join("eval/sheet.png").is_file() && root.path().join("eval/insert_eval.csv").is_file()
     );
+}
+
+/// Goal: the colour of a part is found from files, the light known; a search without a guidance that looks, a part that is
+/// not there and a missing bundle are refused by what is wrong.
+#[test]
+fn a_material_is_found_and_wrong_wishes_are_refused() {
+    let root = tempfile::tempdir().unwrap();
+    let mut input = files(root.path());
+    let mut map = Image::filled(32, 16, 3, 0.3);
+    map.pixel_mut(9, 4).copy_from_slice(&[9.0, 8.0, 7.0]);
+    write_exr(&root.path().join("light.exr"), &map).unwrap();
+    let colored = |name: &str, kd: &str| {
+        std::fs::write(root.path().join(format!("{name}.mtl")), format!("newmtl cloth\nKd {kd}\nPr 0.9\n"))
+            .unwrap();
+        let object = root.path().join(format!("{name}.obj"));
+        std::fs::write(&object, format!("mtllib {name}.mtl\nusemtl cloth\n{TENT}")).unwrap();
+        object
+    };
+    input.light = Some(root.path().join("light.exr"));
+    input.object = colored("blue", "0.2 0.4 0.7");
+    input.output = root.path().join("truth");
+    let config = Config { guidance: GuidedBy::None, response: Response::Reinhard, ..small() };
+    let truth = run(&input, &config).unwrap().composite;
+    input.object = colored("grey", "0.6 0.6 0.6");
+    input.output = root.path().join("found");
+    input.reference = Some(truth);
+    let choice = |part: Option<&str>| {
+        Some(MaterialChoice { part: part.map(str::to_owned), free: vec![Property::Albedo] })
+    };
+    let config = Config {
+        guidance: GuidedBy::Reference,
+        material: choice(None),
+        curves: Curves::Fixed,
+        iterations: 200,
+        ..config
+    };
+    let made = run(&input, &config).unwrap();
+    let found = &made.record.results["material"];
+    assert_eq!(found["part"], "cloth");
+    for (c, truth) in [0.2, 0.4, 0.7].into_iter().enumerate() {
+        let ours = found["after"]["albedo"][c].as_f64().unwrap();
+        assert!((ours - truth).abs() < 0.04, "{c}: {ours} instead of {truth}");
+    }
+    let wrong = |config: Config, word: &str| {
+        let text = said(&input, &config);
+        assert!(text.contains(word), "{text:?} lacks {word:?}");
+    };
+    wrong(Config { material: choice(Some("hat")), ..config.clone() }, "cloth");
+    wrong(Config { guidance: GuidedBy::None, ..config.clone() }, "--material");
+    wrong(Config { guidance: GuidedBy::Lds, material: None, ..config.clone() }, "--model DIR");
+}
+
+/// Goal: the learned completion is another light than the smooth one, finite everywhere.
+#[test]
+fn a_photo_completed_by_the_model() {
+    let root = tempfile::tempdir().unwrap();
+    let mut input = files(root.path());
+    let light = |input: &Input, fill: Filled| {
+        let made = run(input, &Config { fill, iterations: 40, ..small() }).unwrap();
+        read(&made.folder.join("env.exr")).unwrap().color
+    };
+    let smooth = light(&input, Filled::Harmonic);
+    input.output = root.path().join("learned");
+    let learned = light(&input, Filled::Learned);
+    assert!(learned.data.iter().all(|v| v.is_finite() && *v >= 0.0) && learned != smooth);
 }

@@ -63,19 +63,23 @@ impl Default for MeshMaterial {
 }
 
 impl MeshMaterial {
-    /// Base colour, roughness and metalness at texture coordinates, which repeat.
+    /// Base colour, roughness and metalness at texture coordinates, which repeat: factors times textures.
     #[must_use]
     pub fn at(&self, uv: Vec2) -> (Vec3, f32, f32) {
-        let (mut albedo, mut roughness, mut metallic) = (self.albedo, self.roughness, self.metallic);
-        if let Some(map) = &self.albedo_map {
-            albedo *= bilinear(map, uv);
-        }
-        if let Some(map) = &self.surface_map {
-            let texel = bilinear(map, uv);
-            roughness *= texel.y;
-            metallic *= texel.z;
-        }
-        (albedo.clamp(Vec3::ZERO, Vec3::ONE), roughness.clamp(0.0, 1.0), metallic.clamp(0.0, 1.0))
+        let (albedo, roughness, metallic) = self.texel(uv);
+        (
+            (self.albedo * albedo).clamp(Vec3::ZERO, Vec3::ONE),
+            (self.roughness * roughness).clamp(0.0, 1.0),
+            (self.metallic * metallic).clamp(0.0, 1.0),
+        )
+    }
+
+    /// Base colour, roughness and metalness of the textures at texture coordinates, which repeat; 1 where there is none.
+    #[must_use]
+    pub fn texel(&self, uv: Vec2) -> (Vec3, f32, f32) {
+        let albedo = self.albedo_map.as_ref().map_or(Vec3::ONE, |map| bilinear(map, uv));
+        let surface = self.surface_map.as_ref().map_or(Vec3::ONE, |map| bilinear(map, uv));
+        (albedo, surface.y, surface.z)
     }
 }
 

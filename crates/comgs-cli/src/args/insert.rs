@@ -2,6 +2,7 @@
 
 use crate::values::{number, positive};
 use clap::{Args, ValueEnum};
+use comgs_insert::material::Property;
 use std::path::PathBuf;
 
 /// Insert an object into one photo
@@ -15,6 +16,8 @@ Examples:
   comgs insert --image photo.jpg --object car.glb --preview -o out
   comgs insert --image photo.jpg --object car.glb --camera fov=50 --plane horizon=210,1.6 --pixel 300,400 -o out
   comgs insert --image photo.jpg --object kettle.asset --scale 0.3 --guidance reference=painted.png -o out
+  comgs insert --image photo.jpg --object car.glb --guidance reference=painted.png --material paint:albedo,roughness -o out
+  comgs insert --image photo.jpg --object car.glb --guidance lds --model bundle -o out
   comgs insert --image photo.jpg --object chair.obj --guidance none --light env.exr -o out")]
 pub(crate) struct Insert {
     /// The photo
@@ -54,13 +57,32 @@ pub(crate) struct Insert {
     #[arg(long, value_enum, default_value = "y")]
     pub obj_up: ObjUp,
 
-    /// What says how it should look: `panorama` (the photo, completed), `reference=IMAGE` (a composite to match), `none`
+    /// What says how it should look: `panorama` (the photo, completed), `reference=IMAGE` (a composite to match),
+    /// `lds` (the denoisers of --model), `none`
     #[arg(long, value_name = "GUIDANCE", default_value = "panorama", value_parser = guidance)]
     pub guidance: GuidanceArgument,
 
-    /// Light for `--guidance none`; even light of the photo's mean when absent
+    /// Light for `--guidance none`; even light of the photo's mean when absent. Beside `reference` or `lds` it is kept, and
+    /// only tone and material are optimised
     #[arg(long, value_name = "FILE")]
     pub light: Option<PathBuf>,
+
+    /// Guidance bundle for `--guidance lds`: a folder with model.json (scripts/insert makes them)
+    #[arg(long, value_name = "DIR")]
+    pub model: Option<PathBuf>,
+
+    /// What the personalised model is told: one of the prompts that its bundle was exported with
+    #[arg(long, value_name = "TEXT", requires = "model")]
+    pub prompt: Option<String>,
+
+    /// Optimise the material too, with `reference` or `lds`: albedo, roughness, metallic, emission, with commas, of a part of
+    /// the mesh by its material's name (not needed when there is one)
+    #[arg(long, value_name = "[PART:]PROPERTIES", value_parser = material)]
+    pub material: Option<MaterialArgument>,
+
+    /// What fills the sphere around the photo for `--guidance panorama`
+    #[arg(long, value_enum, default_value = "harmonic")]
+    pub completion: FillArgument,
 
     /// Spherical Gaussians that the light is made of
     #[arg(long, default_value_t = comgs_pipeline::stages::insert::LOBES, conflicts_with = "free_texels")]
@@ -165,16 +187,52 @@ fn plane(text: &str) -> Result<Plane, String> {
 pub(crate) enum GuidanceArgument {
     Panorama,
     Reference(PathBuf),
+    Lds,
     None,
+}
+
+/// A part, if it was named, and what of its material is optimised.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct MaterialArgument {
+    pub part: Option<String>,
+    pub free: Vec<Property>,
+}
+
+fn material(text: &str) -> Result<MaterialArgument, String> {
+    let (part, list) = match text.rsplit_once(':') {
+        Some((part, list)) => (Some(part.to_owned()), list),
+        None => (None, text),
+    };
+    let property = |name: &str| match name {
+        "albedo" => Ok(Property::Albedo),
+        "roughness" => Ok(Property::Roughness),
+        "metallic" => Ok(Property::Metallic),
+        "emission" => Ok(Property::Emission),
+        other => Err(format!("expected albedo, roughness, metallic or emission, got {other:?}")),
+    };
+    let mut free: Vec<Property> = list.split(',').map(property).collect::<Result<_, _>>()?;
+    free.sort();
+    free.dedup();
+    Ok(MaterialArgument { part, free })
+}
+
+/// A completer.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum FillArgument {
+    /// The smoothest light that agrees with the photo
+    Harmonic,
+    /// The model that ships with comgs
+    Learned,
 }
 
 fn guidance(text: &str) -> Result<GuidanceArgument, String> {
     match text {
         "panorama" => Ok(GuidanceArgument::Panorama),
+        "lds" => Ok(GuidanceArgument::Lds),
         "none" => Ok(GuidanceArgument::None),
         _ => match text.strip_prefix("reference=") {
             Some(path) if !path.is_empty() => Ok(GuidanceArgument::Reference(path.into())),
-            _ => Err("expected panorama, reference=IMAGE or none".into()),
+            _ => Err("expected panorama, reference=IMAGE, lds or none".into()),
         },
     }
 }

@@ -8,7 +8,7 @@ use comgs_insert::render::Samples;
 use comgs_insert::session::LightKind;
 use comgs_insert::tone::Response;
 use comgs_pipeline::Context;
-use comgs_pipeline::stages::insert::{self, At, CameraFrom, GuidedBy};
+use comgs_pipeline::stages::insert::{self, At, CameraFrom, Filled, GuidedBy, MaterialChoice};
 
 impl From<args::ResponseArgument> for Response {
     fn from(response: args::ResponseArgument) -> Self {
@@ -37,6 +37,7 @@ pub(super) fn run(a: &args::Insert, context: &Context<'_>) -> anyhow::Result<()>
     let (guidance, reference) = match &a.guidance {
         GuidanceArgument::Panorama => (GuidedBy::Panorama, None),
         GuidanceArgument::Reference(path) => (GuidedBy::Reference, Some(path.clone())),
+        GuidanceArgument::Lds => (GuidedBy::Lds, None),
         GuidanceArgument::None => (GuidedBy::None, None),
     };
     let at = match (a.at, a.pixel) {
@@ -52,6 +53,12 @@ pub(super) fn run(a: &args::Insert, context: &Context<'_>) -> anyhow::Result<()>
         yaw_deg: a.yaw,
         obj_z_up: a.obj_up == args::ObjUp::Z,
         guidance,
+        prompt: a.prompt.clone(),
+        material: a.material.as_ref().map(|m| MaterialChoice { part: m.part.clone(), free: m.free.clone() }),
+        fill: match a.completion {
+            args::FillArgument::Harmonic => Filled::Harmonic,
+            args::FillArgument::Learned => Filled::Learned,
+        },
         light: if a.free_texels { LightKind::Texels } else { LightKind::Gaussians(a.lobes) },
         response: a.response.into(),
         iterations: a.iterations,
@@ -69,6 +76,7 @@ pub(super) fn run(a: &args::Insert, context: &Context<'_>) -> anyhow::Result<()>
         camera: camera_file,
         reference,
         light: a.light.clone(),
+        model: a.model.clone(),
         output: a.output.clone(),
     };
     let made = insert::run(&input, &config, context)?;

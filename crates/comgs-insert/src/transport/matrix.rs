@@ -35,9 +35,9 @@ struct Block {
     values: Vec<f32>,
 }
 
-/// A matrix whose entries have `channels` values: 3 for coloured transport, multiplied channel by channel, or 1 for
-/// transport that is the same in all.
-#[derive(Clone, Debug, PartialEq)]
+/// A matrix whose entries have `channels` values: 3 for coloured transport, multiplied channel by channel, 1 for
+/// transport that is the same in all, or more for lobes that are each the same in all ([`Matrix::lobes`]).
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Matrix {
     channels: usize,
     /// Rows of the map.
@@ -75,28 +75,56 @@ impl Matrix {
         fill: impl Fn(usize, &mut [f32], &mut [f32; 3]) + Sync,
         check: impl Fn(usize) -> bool + Sync,
     ) -> Option<Self> {
+        let fill = |row: usize, dense: &mut [Vec<f32>; 1], constant: &mut [f32; 3]| {
+            fill(row, &mut dense[0], constant);
+        };
+        Self::build_each(rows, height, [channels], fill, check).map(|[matrix]| matrix)
+    }
+
+    /// [`Matrix::build`] for several matrices of as many rows that are filled together; the constant is the first's.
+    pub fn build_each<const N: usize>(
+        rows: usize,
+        height: usize,
+        channels: [usize; N],
+        fill: impl Fn(usize, &mut [Vec<f32>; N], &mut [f32; 3]) + Sync,
+        check: impl Fn(usize) -> bool + Sync,
+    ) -> Option<[Self; N]> {
         let texels = 2 * height * height;
-        let blocks = (0..rows.div_ceil(BLOCK))
+        let made = (0..rows.div_ceil(BLOCK))
             .into_par_iter()
             .map(|b| {
                 let range = b * BLOCK..((b + 1) * BLOCK).min(rows);
                 if !check(range.len()) {
                     return None;
                 }
-                let mut block = Block::default();
-                let mut dense = vec![0.0f32; channels * texels];
+                let mut blocks: [Block; N] = std::array::from_fn(|_| Block::default());
+                let mut dense = channels.map(|n| vec![0.0f32; n * texels]);
                 for row in range {
-                    dense.fill(0.0);
+                    dense.iter_mut().for_each(|d| d.fill(0.0));
                     let mut constant = [0.0; 3];
                     fill(row, &mut dense, &mut constant);
-                    block.push(&dense, channels, constant);
+                    for (k, (block, dense)) in blocks.iter_mut().zip(&dense).enumerate() {
+                        block.push(dense, channels[k], if k == 0 { constant } else { [0.0; 3] });
+                    }
                 }
-                block.spans.shrink_to_fit();
-                block.values.shrink_to_fit();
-                Some(block)
+                for block in &mut blocks {
+                    block.spans.shrink_to_fit();
+                    block.values.shrink_to_fit();
+                }
+                Some(blocks)
             })
             .collect::<Option<Vec<_>>>()?;
-        Some(Self { channels, height, rows, blocks })
+        let mut parts: [Vec<Block>; N] = std::array::from_fn(|_| Vec::with_capacity(made.len()));
+        for blocks in made {
+            for (all, block) in parts.iter_mut().zip(blocks) {
+                all.push(block);
+            }
+        }
+        let mut parts = parts.into_iter().zip(channels);
+        Some(std::array::from_fn(|_| {
+            let (blocks, channels) = parts.next().expect("as many as there are channels");
+            Self { channels, height, rows, blocks }
+        }))
     }
 
     /// Rows.
@@ -138,9 +166,48 @@ impl Matrix {
         out
     }
 
+    /// Rows times map, every channel of the matrix by itself as a lobe: `L` RGBs a row. Rows for which `wanted` is false
+    /// are 0. Gradient: [`Matrix::lobes_transposed`].
+    #[must_use]
+    pub fn lobes<const L: usize>(
+        &self,
+        map: &LightMap,
+        wanted: impl Fn(usize) -> bool + Sync,
+    ) -> Vec<[[f32; 3]; L]> {
+        assert_eq!((map.height, self.channels), (self.height, L));
+        let mut out = vec![[[0.0; 3]; L]; self.rows];
+        out.par_chunks_mut(BLOCK).zip(&self.blocks).enumerate().for_each(|(b, (out, block))| {
+            for (k, row) in block.rows.iter().enumerate().filter(|(k, _)| wanted(b * BLOCK + k)) {
+                block.each_span(row, L, |start, n, values| {
+                    for (lobe, sums) in out[k].iter_mut().enumerate() {
+                        let values = &values[lobe * n..(lobe + 1) * n];
+                        for (c, sum) in sums.iter_mut().enumerate() {
+                            *sum += dot(values, &map.channel(c)[start..start + n]);
+                        }
+                    }
+                });
+            }
+        });
+        out
+    }
+
+    /// The transpose of [`Matrix::lobes`]: gradient with respect to the map, added to `grad`. Rows of zeros are skipped.
+    pub fn lobes_transposed<const L: usize>(&self, grad_rows: &[[[f32; 3]; L]], grad: &mut LightMap) {
+        assert_eq!((grad.height, grad_rows.len(), self.channels), (self.height, self.rows, L));
+        self.spread(grad, |row| (grad_rows[row] != [[0.0; 3]; L]).then_some(&grad_rows[row][..]));
+    }
+
     /// The transpose times an RGB a row: gradient with respect to the map, added to `grad`. Rows of zeros are skipped.
     pub fn transposed(&self, grad_rows: &[[f32; 3]], grad: &mut LightMap) {
         assert_eq!((grad.height, grad_rows.len()), (self.height, self.rows));
+        self.spread(grad, |row| {
+            (grad_rows[row] != [0.0; 3]).then_some(std::slice::from_ref(&grad_rows[row]))
+        });
+    }
+
+    /// Adds every row times its weights to `grad`: one RGB for all channels of an entry (one or three, colour by colour), or
+    /// one for each (lobes). Rows without weights are skipped.
+    fn spread<'g>(&self, grad: &mut LightMap, weights: impl Fn(usize) -> Option<&'g [[f32; 3]]> + Sync) {
         let texels = grad.texels();
         let share = self.blocks.len().div_ceil(PARTIAL_SUMS).max(1);
         let partial: Vec<Vec<f32>> = self
@@ -151,17 +218,17 @@ impl Matrix {
                 let mut sum = vec![0.0f32; 3 * texels];
                 for (b, block) in blocks.iter().enumerate() {
                     for (k, row) in block.rows.iter().enumerate() {
-                        let g = grad_rows[(p * share + b) * BLOCK + k];
-                        if g == [0.0; 3] {
-                            continue;
-                        }
+                        let Some(weights) = weights((p * share + b) * BLOCK + k) else { continue };
+                        let coloured = weights.len() == 1 && self.channels == 3;
                         block.each_span(row, self.channels, |start, n, values| {
-                            for c in 0..3 {
-                                let values =
-                                    if self.channels == 3 { &values[c * n..(c + 1) * n] } else { values };
-                                let out = &mut sum[c * texels + start..c * texels + start + n];
-                                for (o, v) in out.iter_mut().zip(values) {
-                                    *o += g[c] * v;
+                            for (lobe, g) in weights.iter().enumerate() {
+                                for c in 0..3 {
+                                    let from = if coloured { c } else { lobe };
+                                    let values = &values[from * n..(from + 1) * n];
+                                    let out = &mut sum[c * texels + start..c * texels + start + n];
+                                    for (o, v) in out.iter_mut().zip(values) {
+                                        *o += g[c] * v;
+                                    }
                                 }
                             }
                         });
@@ -283,6 +350,52 @@ mod tests {
             one.install(|| matrix.transposed(&grad_rows, &mut alone));
             assert_eq!(grad, alone);
         }
+    }
+
+    /// Goal: two matrices that are filled together are those that are filled alone; lobes are the products of each channel,
+    /// and their transpose is adjoint to them.
+    #[test]
+    fn lobes_are_channels() {
+        let (rows, height) = (70, 4);
+        let texels = 2 * height * height;
+        let entry = |row: usize, i: usize| {
+            if (row + i) % 3 == 0 { 0.0 } else { ((row * 31 + i * 17) % 101) as f32 / 100.0 }
+        };
+        let fill = |row: usize, dense: &mut [f32], _: &mut [f32; 3]| {
+            dense.iter_mut().enumerate().for_each(|(i, v)| *v = entry(row, i));
+        };
+        let both = |row: usize, dense: &mut [Vec<f32>; 2], constant: &mut [f32; 3]| {
+            dense.iter_mut().for_each(|d| fill(row, d, constant));
+        };
+        let [coloured, lobes] = Matrix::build_each(rows, height, [3, 5], both, |_| true).unwrap();
+        assert!(coloured == Matrix::build(rows, height, 3, fill, |_| true).unwrap());
+        let mut rng = Rng::new(3);
+        let mut map = LightMap::zeros(height);
+        map.data.iter_mut().for_each(|v| *v = rng.uniform());
+        let out = lobes.lobes::<5>(&map, |row| row != 7);
+        assert_eq!(out[7], [[0.0; 3]; 5]);
+        let grad: Vec<[[f32; 3]; 5]> =
+            (0..rows).map(|_| std::array::from_fn(|_| std::array::from_fn(|_| rng.normal()))).collect();
+        let (mut forth, mut back) = (0.0f64, 0.0f64);
+        for row in (0..rows).filter(|r| *r != 7) {
+            for lobe in 0..5 {
+                for c in 0..3 {
+                    let exact: f64 = (0..texels)
+                        .map(|t| f64::from(entry(row, lobe * texels + t)) * f64::from(map.channel(c)[t]))
+                        .sum();
+                    assert!((exact - f64::from(out[row][lobe][c])).abs() < 1e-4);
+                    forth += exact * f64::from(grad[row][lobe][c]);
+                }
+            }
+        }
+        let mut skipped = grad.clone();
+        skipped[7] = [[0.0; 3]; 5];
+        let mut by_map = LightMap::zeros(height);
+        lobes.lobes_transposed(&skipped, &mut by_map);
+        for (g, l) in by_map.data.iter().zip(&map.data) {
+            back += f64::from(*g) * f64::from(*l);
+        }
+        assert!((forth - back).abs() < 1e-3 * forth.abs().max(1.0), "{forth} {back}");
     }
 
     /// Goal: work that is stopped gives nothing.

@@ -1,5 +1,7 @@
 //! `insert`: an object into one photo, under a light that the photo, a reference or a file tells of.
 
+mod fill;
+mod guided;
 mod outputs;
 mod place;
 
@@ -7,22 +9,24 @@ use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, Status, source}
 use comgs_geom::Camera;
 use comgs_image::Image;
 use comgs_insert::ground::Ground;
-use comgs_insert::guidance::Reference;
 use comgs_insert::light::LightMap;
 use comgs_insert::object::Object;
 use comgs_insert::optimise::{Curves, Losses};
-use comgs_insert::panorama::{Completer as _, GroundMeter, Harmonic, Partial, project, surroundings};
+use comgs_insert::panorama::{GroundMeter, Partial, project, surroundings};
 use comgs_insert::render::{Samples, render};
 use comgs_insert::session::{self, LightKind, TransportConfig};
 use comgs_insert::tone::{Response, Tone};
-use comgs_insert::{InsertError, Problem, Settings, State, optimise};
+use comgs_insert::{InsertError, Settings};
 use comgs_light::{EnvironmentMap, EnvironmentSampler};
 use comgs_scene::mesh::Up;
 use serde::Serialize;
 use serde_json::json;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+pub use fill::Filled;
+pub(crate) use fill::completer;
+pub use guided::MaterialChoice;
 pub use place::{At, CameraFrom};
 
 /// Inputs of the stage.
@@ -36,8 +40,11 @@ pub struct Input {
     pub camera: Option<PathBuf>,
     /// The composite to match, for [`GuidedBy::Reference`].
     pub reference: Option<PathBuf>,
-    /// Environment map, for [`GuidedBy::None`]; even light of the photo's mean when absent.
+    /// Environment map. For [`GuidedBy::None`] the light (even light of the photo's mean when absent); beside a guidance that
+    /// looks at the composite it stays as it is, and tone and material alone are optimised.
     pub light: Option<PathBuf>,
+    /// Folder of the guidance bundle, for [`GuidedBy::Lds`].
+    pub model: Option<PathBuf>,
     /// Output folder.
     pub output: PathBuf,
 }
@@ -50,6 +57,8 @@ pub enum GuidedBy {
     Panorama,
     /// A composite that is given.
     Reference,
+    /// Two denoisers (score distillation).
+    Lds,
     /// Nothing: the light is taken as it is.
     None,
 }
@@ -71,6 +80,12 @@ pub struct Config {
     pub obj_z_up: bool,
     /// What guides.
     pub guidance: GuidedBy,
+    /// What the personalised model of `Lds` is told, one of the bundle's prompts; its own when absent.
+    pub prompt: Option<String>,
+    /// What of the object's material is optimised, where the guidance looks at the composite.
+    pub material: Option<MaterialChoice>,
+    /// What fills the sphere around the photo for [`GuidedBy::Panorama`].
+    pub fill: Filled,
     /// How light is described.
     pub light: LightKind,
     /// Response of the camera before the learnt correction.
@@ -103,6 +118,9 @@ impl Default for Config {
             yaw_deg: 0.0,
             obj_z_up: false,
             guidance: GuidedBy::Panorama,
+            prompt: None,
+            material: None,
+            fill: Filled::Harmonic,
             light: LightKind::Gaussians(LOBES),
             response: Response::Reinhard,
             iterations: Settings::dipir().iterations,
@@ -147,6 +165,7 @@ pub(crate) struct Found {
     pub tone: Tone,
     pub losses: Vec<Losses>,
     pub partial: Option<Partial>,
+    pub material: Option<guided::FoundMaterial>,
 }
 
 /// The virtual scene.
@@ -177,10 +196,10 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     run.check_output()?;
     let inputs = json!({
         "image": input.image, "object": input.object, "camera": input.camera,
-        "reference": input.reference, "light": input.light,
+        "reference": input.reference, "light": input.light, "model": input.model,
     });
     run.describe(fingerprint, inputs, config, Some(config.seed))?;
-    let scene = run.time("load", || place::scene(input, config))?;
+    let mut scene = run.time("load", || place::scene(input, config))?;
     for remark in &scene.facts.remarks {
         run.warn(context, remark.clone());
     }
@@ -198,7 +217,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         return Ok(Output { composite: path, folder: input.output.clone(), reused: false, record });
     }
     context.check()?;
-    let found = find(input, config, &scene, &mut run, context)?;
+    let found = find(input, config, &mut scene, &mut run, context)?;
     context.check()?;
     let sampler = EnvironmentSampler::new(&found.light);
     let layers = run.time("render", || {
@@ -225,8 +244,15 @@ fn check(input: &Input, config: &Config) -> Result<(), PipelineError> {
     let wrong = |what: &str, expected: &str, got: String| Err(PipelineError::input(what, expected, got));
     match (config.guidance, &input.reference, &input.light) {
         (GuidedBy::Reference, None, _) => return wrong("--guidance", "reference=IMAGE", "no image".into()),
-        (GuidedBy::Panorama | GuidedBy::Reference, _, Some(_)) => {
-            return wrong("--light", "--guidance none beside it", "a guidance that finds its own".into());
+        (GuidedBy::Panorama, _, Some(_)) => {
+            return wrong("--light", "--guidance none, reference or lds beside it", "panorama".into());
+        }
+        (GuidedBy::Lds, _, _) if input.model.is_none() => {
+            return wrong("--guidance lds", "--model DIR, a guidance bundle", "none".into());
+        }
+        (GuidedBy::Panorama | GuidedBy::None, _, _) if config.material.is_some() => {
+            let expected = "--guidance reference or lds, which look at the composite";
+            return wrong("--material", expected, format!("{:?}", config.guidance).to_lowercase());
         }
         _ => {}
     }
@@ -265,8 +291,9 @@ fn fingerprint(input: &Input, config: &Config) -> Result<String, PipelineError> 
     } else {
         fingerprint.surfels("object", &input.object)?;
     }
-    for (name, path) in [("camera", &input.camera), ("reference", &input.reference), ("light", &input.light)]
-    {
+    let model = input.model.as_ref().map(|folder| folder.join("model.json"));
+    let files = [("camera", &input.camera), ("reference", &input.reference), ("light", &input.light)];
+    for (name, path) in files.into_iter().chain([("model", &model)]) {
         if let Some(path) = path {
             fingerprint.path(name, path)?;
         }
@@ -297,7 +324,7 @@ pub(crate) fn watch<'a>(
 fn find(
     input: &Input,
     config: &Config,
-    scene: &Scene,
+    scene: &mut Scene,
     run: &mut Run,
     context: &Context<'_>,
 ) -> Result<Found, PipelineError> {
@@ -308,7 +335,7 @@ fn find(
                 Some(path) => super::relight::subject::read_light(path, |text| run.warn(context, text))?,
                 None => EnvironmentMap::constant(session::mean_radiance(&scene.photo, config.response, MOST)),
             };
-            Ok(Found { light, tone, losses: Vec::new(), partial: None })
+            Ok(Found { light, tone, losses: Vec::new(), partial: None, material: None })
         }
         GuidedBy::Panorama => {
             let partial = run.time("project", || {
@@ -316,10 +343,11 @@ fn find(
                 let (photo, camera) = (&scene.photo, &scene.camera);
                 Ok::<_, PipelineError>(project(photo, camera, response, MOST, PANORAMA_HEIGHT))
             })?;
-            context.progress.note(&format!("the rest of the sphere is completed: {}", Harmonic.name()));
+            let completer = completer(config.fill, config.response.invert(MOST, MOST))?;
+            context.progress.note(&format!("the rest of the sphere is completed: {}", completer.name()));
             let (target, added) = run.time("complete", || {
                 let meter = GroundMeter::default();
-                surroundings(&partial, &scene.camera, &Harmonic, Some(&meter), config.light_height)
+                surroundings(&partial, &scene.camera, &*completer, Some(&meter), config.light_height)
             })?;
             if added > 0.0 {
                 context.progress.note(&format!(
@@ -331,9 +359,9 @@ fn find(
             let outcome =
                 run.time("optimise", || session::fit(&target, config.light, config.iterations, check))?;
             let light = outcome.light.to_environment();
-            Ok(Found { light, tone, losses: outcome.losses, partial: Some(partial) })
+            Ok(Found { light, tone, losses: outcome.losses, partial: Some(partial), material: None })
         }
-        GuidedBy::Reference => reference(input, config, scene, run, context),
+        GuidedBy::Reference | GuidedBy::Lds => guided::find(input, config, scene, run, context),
     }
 }
 
@@ -344,69 +372,6 @@ fn iterate(context: &Context<'_>, config: &Config, i: usize) -> bool {
         context.progress.update(&Status { fraction, message, remaining: None });
     }
     !context.cancel.is_cancelled()
-}
-
-/// Light and tone that bring the insertion closest to a composite.
-fn reference(
-    input: &Input,
-    config: &Config,
-    scene: &Scene,
-    run: &mut Run,
-    context: &Context<'_>,
-) -> Result<Found, PipelineError> {
-    let path = input.reference.as_deref().unwrap_or(Path::new(""));
-    let target = place::read_photo(path)?;
-    if (target.width, target.height) != (scene.photo.width, scene.photo.height) {
-        return Err(PipelineError::input(
-            path.display().to_string(),
-            format!("the photo's size, {}×{}", scene.photo.width, scene.photo.height),
-            format!("{}×{}", target.width, target.height),
-        ));
-    }
-    let (w, h) = place::working_size(&scene.photo, config.width);
-    let (photo, target) = (scene.photo.resized(w, h), target.resized(w, h));
-    let camera = scene.camera.resized(w, h);
-    let transport_config = TransportConfig {
-        height: config.light_height,
-        memory: config.memory,
-        depth: config.samples.depth,
-        seed: config.seed,
-    };
-    let transport = run.time("transport", || {
-        // Rows of object and ground are counted together; how many there are is known to a factor of two.
-        let check = watch(context, "tracing of light", w * h);
-        session::trace(&scene.object, &camera, &transport_config, check)
-    })?;
-    if transport.height < config.light_height {
-        run.warn(
-            context,
-            format!(
-                "the map is optimised with {} rows instead of {}: the matrix of transport would take more than --memory",
-                transport.height, config.light_height
-            ),
-        );
-    }
-    let radiance = session::mean_radiance(&photo, config.response, MOST);
-    let light = config.light.even(transport.height, radiance);
-    let state = State { foreground: light.clone(), shadow: light, tone: Tone::identity(config.response) };
-    let settings = Settings {
-        iterations: config.iterations,
-        curves: config.curves,
-        seed: config.seed,
-        ..Settings::dipir()
-    };
-    let (foreground, shadow) = (&transport.foreground, &transport.shadow);
-    let problem = Problem { photo: &photo, foreground, shadow };
-    let mut guidance = Reference::new(&target, foreground.pixels.len());
-    let outcome = run.time("optimise", || {
-        optimise(Some(&problem), state, &mut guidance, &settings, |i| iterate(context, config, i))
-    })?;
-    Ok(Found {
-        light: outcome.light.to_environment(),
-        tone: outcome.state.tone,
-        losses: outcome.losses,
-        partial: None,
-    })
 }
 
 /// A map of light as the picture that reports show: its mean brought to middle grey.

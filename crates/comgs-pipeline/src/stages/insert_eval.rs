@@ -8,7 +8,7 @@
 mod objects;
 mod table;
 
-use super::insert::watch;
+use super::insert::{Filled, completer, watch};
 use crate::stages::insert::{LOBES, MOST};
 use crate::{Context, PipelineError, Run, RunRecord, Status};
 use comgs_geom::{Camera, Similarity, equirect};
@@ -16,7 +16,7 @@ use comgs_image::transfer::{linear_from_srgb, srgb_from_linear, srgb8_from_linea
 use comgs_image::{Image, write_png};
 use comgs_insert::ground::{Ground, above};
 use comgs_insert::object::{Object, stand};
-use comgs_insert::panorama::{GroundMeter, Harmonic, project, surroundings};
+use comgs_insert::panorama::{GroundMeter, project, surroundings};
 use comgs_insert::render::{Samples, render};
 use comgs_insert::session::{self, LightKind, compose_layers, fit, touched};
 use comgs_insert::tone::{Response, Tone};
@@ -103,32 +103,42 @@ enum Estimate {
     /// Even light of the photo's mean.
     Even,
     /// The completed panorama, described as it says.
-    Panorama(LightKind, Option<GroundMeter>),
+    Panorama(LightKind, Option<GroundMeter>, Filled),
     /// The true map reduced to what the optimised maps hold: what the description alone costs.
     True,
 }
 
 /// Methods in the order of the table. The photos' own response is [`Response::Clip`].
-const METHODS: [Method; 6] = [
+const METHODS: [Method; 8] = [
     Method { name: "even light", light: Estimate::Even, response: Response::Clip },
     Method {
         name: "panorama without the ground",
-        light: Estimate::Panorama(LightKind::Gaussians(LOBES), None),
+        light: Estimate::Panorama(LightKind::Gaussians(LOBES), None, Filled::Harmonic),
         response: Response::Reinhard,
     },
     Method {
         name: "panorama",
-        light: Estimate::Panorama(LightKind::Gaussians(LOBES), Some(GroundMeter::TUNED)),
+        light: Estimate::Panorama(LightKind::Gaussians(LOBES), Some(GroundMeter::TUNED), Filled::Harmonic),
         response: Response::Reinhard,
     },
     Method {
         name: "panorama, clipped response",
-        light: Estimate::Panorama(LightKind::Gaussians(LOBES), Some(GroundMeter::TUNED)),
+        light: Estimate::Panorama(LightKind::Gaussians(LOBES), Some(GroundMeter::TUNED), Filled::Harmonic),
         response: Response::Clip,
     },
     Method {
         name: "panorama, texels",
-        light: Estimate::Panorama(LightKind::Texels, Some(GroundMeter::TUNED)),
+        light: Estimate::Panorama(LightKind::Texels, Some(GroundMeter::TUNED), Filled::Harmonic),
+        response: Response::Reinhard,
+    },
+    Method {
+        name: "panorama, learned completion",
+        light: Estimate::Panorama(LightKind::Gaussians(LOBES), Some(GroundMeter::TUNED), Filled::Learned),
+        response: Response::Reinhard,
+    },
+    Method {
+        name: "panorama, learned, without the ground",
+        light: Estimate::Panorama(LightKind::Gaussians(LOBES), None, Filled::Learned),
         response: Response::Reinhard,
     },
     Method { name: "true map at the fit's resolution", light: Estimate::True, response: Response::Clip },
@@ -305,10 +315,11 @@ fn estimate(
         Estimate::Even => {
             Ok(EnvironmentMap::constant(session::mean_radiance(&case.photo, method.response, most)))
         }
-        Estimate::Panorama(kind, meter) => {
+        Estimate::Panorama(kind, meter, fill) => {
             let partial = project(&case.photo, &case.camera, method.response, most, PANORAMA_HEIGHT);
+            let completer = completer(fill, method.response.invert(most, most))?;
             let (target, _) =
-                surroundings(&partial, &case.camera, &Harmonic, meter.as_ref(), config.light_height)?;
+                surroundings(&partial, &case.camera, &*completer, meter.as_ref(), config.light_height)?;
             let check = |_: usize| !context.cancel.is_cancelled();
             Ok(fit(&target, kind, config.iterations, check)?.light.to_environment())
         }

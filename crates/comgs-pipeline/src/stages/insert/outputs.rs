@@ -54,6 +54,7 @@ pub(super) fn write(
         "scene": scene.facts,
         "first_loss": losses.first(),
         "last_loss": losses.last(),
+        "material": found.material,
         "object_pixels": layers.coverage.data.iter().filter(|v| **v > 0.0).count(),
         "darkest_shadow": layers.ratio.data.iter().copied().fold(1.0f32, f32::min),
     }));
