@@ -1,6 +1,6 @@
 //! Small frames of a composition.
 
-use crate::stages::editing::{Baked, Composition, Settings, Shadow};
+use crate::stages::editing::{Baked, Composition, OwnLight, Settings, Shadow};
 use crate::stages::render_composition::{Ground, Renderer, receivers};
 use crate::{Context, PipelineError};
 use comgs_geom::Camera;
@@ -58,7 +58,9 @@ impl<'a> Pilots<'a> {
             Shadow::Auto | Shadow::Probes => receivers(&ground.composer, &self.cameras, context)?,
             _ => comgs_compose::ReceiverCloud::default(),
         };
-        let renderer = Renderer::new(self.composition, &ground, Some(self.baked), &seen, settings)?;
+        let own = OwnLight::new(self.composition, settings)?;
+        let renderer =
+            Renderer::new(self.composition, &ground, Some(self.baked), own.as_ref(), &seen, settings)?;
         let prepare_s = start.elapsed().as_secs_f64() - renderer.prepared.cache_s;
         let start = Instant::now();
         let frames: Vec<Image> = self.cameras.iter().map(|c| renderer.frame(c).beauty).collect();
