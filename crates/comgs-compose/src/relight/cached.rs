@@ -54,6 +54,7 @@ pub enum Mirror<'a> {
     },
 }
 
+#[allow(clippy::large_enum_variant, reason = "there is one a relighter")]
 enum Hidden<'a> {
     Open,
     Probes {
