@@ -128,22 +128,27 @@ fn halved(fine: &[f32], side: usize) -> Vec<f32> {
 
 /// Σ L max(0, n · ω) Ω over a level's texels for every normal of the table.
 fn irradiance_table(level: &[f32], side: usize) -> Vec<f32> {
-    let light: Vec<(Vec3, Vec3)> = octahedral::solid_angles(side)
+    let light: Vec<(Vec3, f32, Vec3)> = octahedral::solid_angles(side)
         .into_iter()
         .enumerate()
         .map(|(t, w)| {
             let d = octahedral::texel_direction(t % side, t / side, side);
-            (d, w * Vec3::from_slice(&level[3 * t..]))
+            (d, w, w * Vec3::from_slice(&level[3 * t..]))
         })
-        .filter(|(_, energy)| *energy != Vec3::ZERO)
         .collect();
     (0..IRRADIANCE * IRRADIANCE)
         .into_par_iter()
         .with_min_len(IRRADIANCE)
         .flat_map_iter(|t| {
             let n = octahedral::texel_direction(t % IRRADIANCE, t / IRRADIANCE, IRRADIANCE);
-            let sum: Vec3 = light.iter().map(|(d, energy)| n.dot(*d).max(0.0) * *energy).sum();
-            sum.to_array()
+            let (mut sum, mut cosines) = (Vec3::ZERO, 0.0f32);
+            for (d, w, energy) in &light {
+                let cosine = n.dot(*d).max(0.0);
+                sum += cosine * *energy;
+                cosines += cosine * w;
+            }
+            // The cosine's own integral by the same texels is π but for their size.
+            (sum * (PI / cosines)).to_array()
         })
         .collect()
 }
