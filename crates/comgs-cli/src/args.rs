@@ -16,7 +16,7 @@ mod synth;
 use clap::{Parser, Subcommand, ValueEnum};
 
 pub(crate) use editing::{
-    Animate, Editing, Plan, RelightObjects, Shadow, ShadowFrom, Tradeoff, TradeoffWhat,
+    Animate, Editing, Plan, RelightObjects, ShadeBy, Shadow, ShadowFrom, Tradeoff, TradeoffWhat,
 };
 pub(crate) use frames::{Compose, Relight, Render, SelfShadow};
 pub(crate) use insert::{

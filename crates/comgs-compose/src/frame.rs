@@ -75,8 +75,14 @@ pub enum ShadowSource<'a> {
 
 /// Something that gives an object's pixels another radiance than its surfels have.
 pub trait ObjectShader: Sync {
+    /// What the G-buffer is rendered of in place of the merged objects: the same surfels with other colours. `None` for the
+    /// objects themselves.
+    fn carrier(&self) -> Option<&SurfelCloud> {
+        None
+    }
+
     /// Premultiplied linear radiance, 3 channels, of a G-buffer of all planes that the camera has seen of the merged
-    /// objects. Pixels it leaves black are black.
+    /// objects (or of the carrier). Pixels it leaves black are black.
     fn shade(&self, camera: &Camera, frame: &Frame) -> Image;
 }
 
@@ -254,7 +260,8 @@ impl<'a> Composer<'a> {
         let near = self.config.raster.near.min(0.01 * self.object_bounds.1).max(f32::MIN_POSITIVE);
         let object_raster = RasterConfig { near, ..self.config.raster };
         let planes = if shader.is_some() { Planes::ALL } else { Planes::GEOMETRY };
-        let mut object = comgs_raster::render(&self.object, camera, planes, &object_raster);
+        let cloud = shader.and_then(ObjectShader::carrier).unwrap_or(&self.object);
+        let mut object = comgs_raster::render(cloud, camera, planes, &object_raster);
         let mut stats = FrameStats { raster_s: start.elapsed().as_secs_f64(), ..FrameStats::default() };
 
         let start = std::time::Instant::now();

@@ -37,7 +37,10 @@ pub use occlusion_field::{FieldConfig, FieldError, OcclusionField};
 pub use over::Ordering;
 pub use placement::{PlacementConfig, PlacementReport, check_placement};
 pub use receivers::Receivers;
-pub use relight::{Heuristic, Indirect, RelightConfig, RelightError, Relighter, RelitFrame, SelfOcclusion};
+pub use relight::{
+    CachedRelighter, Heuristic, Indirect, Mirror, RelightConfig, RelightError, Relighter, RelitFrame,
+    SelfOcclusion, SelfVisibility, Standing,
+};
 pub use scene_probes::{Density, SceneProbeConfig, SceneProbes};
 pub use shadow::{DARK, LightSample, LightSource, Occluder, ShadowConfig, shadow_ratio};
 pub use shadow_cache::{CacheConfig, CacheStatistics, ReceiverCloud, ShadowCache};

@@ -13,22 +13,29 @@
 //!
 //! O comes from the object's probes, from rays, or from both ([`SelfOcclusion`]); L_in, which the paper leaves out here, from [`bounce`] on request.
 //!
+//! Frames of a placement whose light stays are cheaper by [`cached`]: the matte part kept on the surfels, the highlight from few
+//! directions. [`Relighter`] is what it is judged by.
+//!
 //! [`mod@reference`] says the same in f64 by brute force over all texels.
 
 pub mod bounce;
+pub mod cached;
 mod config;
 mod frame;
 mod layers;
 mod light_sets;
 pub mod points;
 pub mod reference;
+pub mod self_visibility;
 mod shade;
 mod surroundings;
 
+pub use cached::{CachedRelighter, Mirror};
 pub use config::{Heuristic, Indirect, RelightConfig, RelightError, SelfOcclusion};
 pub use frame::{RelitFrame, RelitLayers, RelitStats};
 pub use layers::write_relit_layers;
 pub use points::Point;
+pub use self_visibility::{SelfVisibility, Standing, SurfelLight};
 pub use shade::Lit;
 
 use crate::objects::bounding_sphere;

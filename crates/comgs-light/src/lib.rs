@@ -4,6 +4,7 @@
 //! * [`LightSplit`]: the small strong lights of a map apart from its smooth rest.
 //! * [`OctahedralLight`], [`OctahedralSampler`]: a learnable octahedral map with gradients, and its sampling;
 //!   [`LightPyramid`] is the parameterisation that is optimised.
+//! * [`MipLight`]: a map by means over cones and by irradiance, for shading with few lookups.
 //! * [`brdf`]: the reflectance model, its sampling and its gradients.
 //!
 //! Two maps, two meanings of their texels. An octahedral light is bilinear for every purpose, and its sampler follows
@@ -20,6 +21,7 @@ mod cumulative;
 pub mod environment;
 pub mod facing;
 pub mod light_pyramid;
+pub mod mip_light;
 pub mod octahedral_light;
 pub mod octahedral_sampler;
 pub mod sampler;
@@ -29,6 +31,7 @@ pub use brdf::{Material, MaterialGradient, Shading};
 pub use environment::{EnvError, EnvReport, EnvironmentMap};
 pub use facing::{facing_normal, facing_normal_vjp};
 pub use light_pyramid::LightPyramid;
+pub use mip_light::MipLight;
 pub use octahedral_light::{OctahedralError, OctahedralLight};
 pub use octahedral_sampler::{Importance, OctahedralSampler};
 pub use sampler::{EnvSample, EnvironmentSampler};

@@ -78,6 +78,9 @@ pub fn surface_normals(frame: &Frame, camera: &Camera) -> Option<Image> {
         for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
             let i = y * width + x;
             let centre = local[i];
+            if centre == Vec3::ZERO {
+                continue;
+            }
             let mut sum = centre;
             for v in y.saturating_sub(RADIUS)..(y + RADIUS + 1).min(height) {
                 for u in x.saturating_sub(RADIUS)..(x + RADIUS + 1).min(width) {

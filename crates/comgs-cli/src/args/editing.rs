@@ -27,6 +27,17 @@ pub(crate) enum RelightObjects {
     Off,
 }
 
+/// How objects under the scene's light are shaded.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum ShadeBy {
+    /// Cached, and sampled with `--quality reference`
+    Auto,
+    /// The matte part kept on the surfels, the highlight from few directions
+    Cached,
+    /// Samples of light and reflectance at every pixel of every frame
+    Sampled,
+}
+
 /// What is simulated, and how finely.
 #[derive(Debug, Args)]
 pub(crate) struct Editing {
@@ -37,6 +48,10 @@ pub(crate) struct Editing {
     /// Whether the objects take the scene's light
     #[arg(long, value_enum, default_value = "auto")]
     pub relight: RelightObjects,
+
+    /// How that light is worked out
+    #[arg(long, value_enum, default_value = "auto")]
+    pub shading: ShadeBy,
 
     /// What objects hide from themselves and each other
     #[arg(long, value_enum, default_value = "on")]

@@ -3,7 +3,7 @@
 use crate::args;
 use crate::output::{say, write};
 use comgs_pipeline::Context;
-use comgs_pipeline::stages::editing::{Relight, Settings, Shadow};
+use comgs_pipeline::stages::editing::{Relight, Settings, Shading, Shadow};
 use comgs_pipeline::stages::{animate, plan, render, render_composition, shadow, tradeoff_shadow};
 
 /// The stages' settings.
@@ -21,6 +21,12 @@ fn settings(a: &args::Editing) -> Settings {
             args::RelightObjects::Auto => Relight::Auto,
             args::RelightObjects::Off => Relight::Off,
         },
+        shading: match a.shading {
+            args::ShadeBy::Auto => Shading::Auto,
+            args::ShadeBy::Cached => Shading::Cached,
+            args::ShadeBy::Sampled => Shading::Sampled,
+        },
+        rays: None,
         self_occlusion: on(a.self_occlusion),
         indirect: on(a.indirect),
         bounce: on(a.bounce),

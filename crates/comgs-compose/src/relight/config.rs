@@ -55,6 +55,8 @@ pub struct RelightConfig {
     pub indirect: Indirect,
     /// Samples a surfel for the light that it scatters, 2 to 65536.
     pub bounce_rays: u32,
+    /// Directions a pixel of the highlight, where the matte part is cached ([`crate::relight::CachedRelighter`]); 1 to 1024.
+    pub highlight_rays: u32,
     /// Probes that a point is interpolated from at most, 1 to 16.
     pub neighbours: usize,
     /// Radius within which probes are looked for, in units of the set's spacing; above 0.
@@ -93,6 +95,7 @@ impl RelightConfig {
             self_occlusion: SelfOcclusion::Probes,
             indirect: Indirect::None,
             bounce_rays: 64,
+            highlight_rays: 8,
             neighbours: 8,
             radius: 2.5,
             hidden_probes: VisibilityWeight::None,
@@ -106,13 +109,13 @@ impl RelightConfig {
     /// A look at the result: 32 samples a pixel.
     #[must_use]
     pub fn draft() -> Self {
-        Self { bounce_rays: 16, ..Self::balanced().with_rays(32) }
+        Self { bounce_rays: 16, highlight_rays: 4, ..Self::balanced().with_rays(32) }
     }
 
     /// 512 samples a pixel: what is left are the errors of geometry, material and probes.
     #[must_use]
     pub fn reference() -> Self {
-        Self { bounce_rays: 256, ..Self::balanced().with_rays(512) }
+        Self { bounce_rays: 256, highlight_rays: 32, ..Self::balanced().with_rays(512) }
     }
 
     /// With `rays` samples a pixel, half of them by the light.
@@ -144,6 +147,10 @@ impl RelightConfig {
         require(
             (2..=MAX_RAYS).contains(&self.bounce_rays),
             format!("bounce_rays is {}, expected 2 to {MAX_RAYS}", self.bounce_rays),
+        );
+        require(
+            (1..=1024).contains(&self.highlight_rays),
+            format!("highlight_rays is {}, expected 1 to 1024", self.highlight_rays),
         );
         require(
             (1..=comgs_probe::MAX_NEIGHBOURS).contains(&self.neighbours),
@@ -209,6 +216,7 @@ mod tests {
             light_rays: 0,
             brdf_rays: 0,
             bounce_rays: 1,
+            highlight_rays: 0,
             neighbours: 17,
             radius: 0.0,
             trace_offset: f32::NAN,
@@ -217,7 +225,8 @@ mod tests {
             ..RelightConfig::balanced()
         };
         let problems = bad.check();
-        let words = ["both 0", "bounce_rays", "neighbours", "radius", "trace_offset", "indirect"];
+        let words =
+            ["both 0", "bounce_rays", "highlight_rays", "neighbours", "radius", "trace_offset", "indirect"];
         assert_eq!(problems.len(), words.len(), "{problems:?}");
         assert!(problems.iter().zip(words).all(|(p, word)| p.contains(word)), "{problems:?}");
         assert_eq!(RelightConfig { light_rays: 65_537, ..RelightConfig::balanced() }.check().len(), 1);

@@ -45,7 +45,7 @@ impl<'a> Probes<'a> {
         Self { set: Cow::Borrowed(set), index, lookup, glowing: false, rays: None }
     }
 
-    fn near(&self, position: Vec3, normal: Vec3) -> Neighbours {
+    pub fn near(&self, position: Vec3, normal: Vec3) -> Neighbours {
         self.index.query(position, normal, &self.set, &self.lookup)
     }
 }
@@ -78,6 +78,20 @@ impl<'s> Around<'s> {
                 self.origin = position + offset * normal;
             }
             Surroundings::Trace { offset, .. } => self.origin = position + *offset * normal,
+        }
+    }
+
+    /// 1 − O in 255ths towards every texel of an octahedral map on the side of `normal`; all of it on the other, where nobody
+    /// asks. The texture itself where there are probes.
+    pub fn open_texels(&self, directions: &[Vec3], normal: Vec3) -> Vec<u8> {
+        let share = |open: f32| (255.0 * open.clamp(0.0, 1.0)).round() as u8;
+        match self.surroundings {
+            Surroundings::Probes(_) => self.texture.iter().map(|t| share(1.0 - t[3])).collect(),
+            // A texel around the horizon is read by directions above it.
+            _ => directions
+                .iter()
+                .map(|d| if normal.dot(*d) > -0.2 { share(self.look(*d).0) } else { 255 })
+                .collect(),
         }
     }
 

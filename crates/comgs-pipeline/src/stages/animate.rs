@@ -1,6 +1,6 @@
 //! `animate`: a composition whose objects move along a path of poses.
 
-use crate::stages::editing::{Composition, Settings, Shadow, bake};
+use crate::stages::editing::{Composition, OwnLight, Settings, Shadow, bake};
 use crate::stages::frames::write_gif;
 use crate::stages::render_composition::{Ground, Renderer, receivers};
 use crate::{Context, PipelineError, Run, RunRecord, Status};
@@ -93,6 +93,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         }
         _ => None,
     };
+    let own = run.time("self-occlusion", || OwnLight::new(&composition, settings))?;
     let sampler = EnvironmentSampler::new(&composition.map);
     let mut seen = None;
     let mut pictures: Vec<Image> = Vec::new();
@@ -120,6 +121,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
             &composition,
             &ground,
             baked.as_ref(),
+            own.as_ref(),
             seen.as_ref().unwrap_or(&Default::default()),
             settings,
         )?;

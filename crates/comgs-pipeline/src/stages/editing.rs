@@ -1,12 +1,14 @@
 //! A composition as the editing and rendering stages hold it: assets, light, what casts shadows.
 
 mod casters;
+mod own_light;
 mod relit;
 mod settings;
 
 pub(crate) use casters::{Baked, bake};
-pub(crate) use relit::{RelitObjects, lit_map};
-pub use settings::{Relight, Settings, Shadow};
+pub(crate) use own_light::OwnLight;
+pub(crate) use relit::{Lighting, RelitObjects, lit_map};
+pub use settings::{Relight, Settings, Shading, Shadow};
 
 use crate::stages::frames;
 use crate::stages::relight::subject::{Subject, read_light};

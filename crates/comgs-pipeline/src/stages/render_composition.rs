@@ -5,7 +5,9 @@ mod stage;
 
 pub use stage::{Config, Input, Output, run};
 
-use crate::stages::editing::{Baked, Composition, RelitObjects, Settings, Shadow, lit_map};
+use crate::stages::editing::{
+    Baked, Composition, Lighting, OwnLight, RelitObjects, Settings, Shadow, lit_map,
+};
 use crate::{Context, PipelineError, Status};
 use comgs_compose::{
     CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, ObjectShader,
@@ -100,11 +102,17 @@ impl<'a> Ground<'a> {
         };
         let composer =
             Composer::new(&composition.scene.surfels, scene_tracer, &composition.placed(), sampler, config)?;
-        let object_tracer = (settings.shadow == Shadow::Probes)
-            .then(|| Tracer::new(composer.objects(), &TraceConfig::occlusion()))
-            .transpose()?;
+        let traced = settings.shadow == Shadow::Probes || RelitObjects::wants_tracer(composition, settings);
+        let object_tracer =
+            traced.then(|| Tracer::new(composer.objects(), &TraceConfig::occlusion())).transpose()?;
         prepared.merge_s = start.elapsed().as_secs_f64();
-        Ok(Self { composer, light, object_tracer, probes: RelitObjects::probes(composition), prepared })
+        Ok(Self {
+            composer,
+            light,
+            object_tracer,
+            probes: RelitObjects::probes(composition, settings),
+            prepared,
+        })
     }
 }
 
@@ -136,15 +144,22 @@ impl<'a> Renderer<'a> {
         composition: &'a Composition,
         ground: &'a Ground<'a>,
         baked: Option<&'a Baked>,
+        own: Option<&'a OwnLight>,
         receivers: &ReceiverCloud,
         settings: &Settings,
     ) -> Result<Self, PipelineError> {
         let mut prepared = ground.prepared;
         let shadow = if composition.wants_shadow() { settings.shadow } else { Shadow::None };
         let start = Instant::now();
-        let cloud = ground.composer.objects();
-        let map = lit_map(composition);
-        let relit = RelitObjects::new(composition, cloud, ground.probes.as_ref(), &map, settings)?;
+        let lighting = Lighting {
+            cloud: ground.composer.objects(),
+            probes: ground.probes.as_ref(),
+            tracer: ground.object_tracer.as_ref(),
+            light: &ground.light,
+            baked,
+            own,
+        };
+        let relit = RelitObjects::new(composition, &lighting, &lit_map(composition), settings)?;
         prepared.relight_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let exact: Option<Box<dyn ShadowRatios + 'a>> = match (shadow, baked) {
@@ -285,7 +300,8 @@ fn seen_radiance(
             up,
         );
         let raster = composition.raster();
-        let frame = comgs_raster::render(cloud, &camera, comgs_raster::Planes::ALL, &raster);
+        let seen_of = relit.and_then(ObjectShader::carrier).unwrap_or(cloud);
+        let frame = comgs_raster::render(seen_of, &camera, comgs_raster::Planes::ALL, &raster);
         let color = match (relit, &frame.color) {
             (Some(relit), _) => relit.shade(&camera, &frame),
             (None, Some(color)) => color.clone(),

@@ -1,53 +1,92 @@
 //! The objects of a composition under its light.
 
-use super::{Composition, Relight, Settings};
+use super::own_light::{OwnLight, is_cached, others, shading_config};
+use super::{Baked, Composition, Relight, Settings};
 use crate::PipelineError;
 use crate::stages::relight::subject::refused;
-use comgs_compose::{Indirect, Lamp, ObjectShader, RelightConfig, Relighter, SelfOcclusion};
+use comgs_compose::{
+    CachedRelighter, FieldShadow, Indirect, Lamp, Mirror, ObjectShader, RelightConfig, RelightError,
+    Relighter, SelfOcclusion, ShadowLight, ShadowRatios, objects,
+};
 use comgs_geom::Camera;
 use comgs_image::Image;
-use comgs_inverse::Quality;
 use comgs_light::EnvironmentMap;
 use comgs_probe::ProbeSet;
 use comgs_raster::Frame;
 use comgs_surfel::SurfelCloud;
+use comgs_trace::Tracer;
 use glam::Vec3;
 
 /// Objects that are shaded anew for every frame.
-pub(crate) struct RelitObjects<'a> {
-    relighter: Relighter<'a>,
+pub(crate) enum RelitObjects<'a> {
+    /// By many samples a pixel.
+    Sampled(Box<Relighter<'a>>),
+    /// By what is kept on the surfels.
+    Cached(Box<CachedRelighter<'a>>),
+}
+
+/// What objects are lit with; all of it belongs to a placement.
+#[derive(Clone, Copy)]
+pub(crate) struct Lighting<'a> {
+    /// The merged objects, world space.
+    pub cloud: &'a SurfelCloud,
+    /// Probes in world space, where [`RelitObjects::probes`] made some.
+    pub probes: Option<&'a ProbeSet>,
+    /// Of the merged objects, where [`RelitObjects::wants_tracer`].
+    pub tracer: Option<&'a Tracer>,
+    /// The light as directions and strong lights.
+    pub light: &'a ShadowLight,
+    /// What the objects hide of each other's light.
+    pub baked: Option<&'a Baked>,
+    /// What they hide of their own.
+    pub own: Option<&'a OwnLight>,
 }
 
 impl<'a> RelitObjects<'a> {
-    /// Probes of the objects in world space, where a single object has them: probes of one object know nothing of another,
-    /// so several are traced.
-    pub fn probes(composition: &Composition) -> Option<ProbeSet> {
+    /// Probes of the objects in world space, where a single object has them and its light is sampled: probes of one object know
+    /// nothing of another, so several are traced.
+    pub fn probes(composition: &Composition, settings: &Settings) -> Option<ProbeSet> {
         let [object] = &composition.objects[..] else { return None };
+        if settings.relight == Relight::Off || is_cached(composition, settings) {
+            return None;
+        }
         object.subject.probe_set().map(|set| set.transformed(&object.world_from_object))
     }
 
-    /// `None` where the settings or an object without material say so. `cloud` is the merged objects in world space.
+    /// Whether cached shading traces what hides the mirror image of the light: several objects, or one without probes.
+    pub fn wants_tracer(composition: &Composition, settings: &Settings) -> bool {
+        let probes = matches!(&composition.objects[..], [object] if object.subject.probe_set().is_some());
+        settings.self_occlusion && !probes && is_cached(composition, settings)
+    }
+
+    /// `None` where the settings or an object without material say so.
     ///
     /// # Errors
     /// [`PipelineError::Input`] for what cannot be relit.
     pub fn new(
-        composition: &Composition,
-        cloud: &'a SurfelCloud,
-        probes: Option<&'a ProbeSet>,
+        composition: &'a Composition,
+        lighting: &Lighting<'a>,
         map: &EnvironmentMap,
         settings: &Settings,
     ) -> Result<Option<Self>, PipelineError> {
-        if settings.relight == Relight::Off || cloud.material.is_none() {
+        if settings.relight == Relight::Off || lighting.cloud.material.is_none() {
             return Ok(None);
         }
-        let preset = match settings.quality {
-            Quality::Draft => RelightConfig::draft(),
-            Quality::Balanced => RelightConfig::balanced(),
-            Quality::Reference => RelightConfig::reference(),
+        let made = if is_cached(composition, settings) {
+            Self::cached(composition, lighting, map, settings)
+        } else {
+            Self::sampled(composition, lighting, map, settings)
         };
-        let lookup = composition.objects[0].subject.probes.as_ref();
-        let preset = lookup.map_or(preset.clone(), |(_, lookup)| preset.with_lookup(lookup));
-        let self_occlusion = match (settings.self_occlusion || settings.indirect, probes) {
+        made.map(Some).map_err(|e| refused(&composition.objects[0].subject.path, &e))
+    }
+
+    fn sampled(
+        composition: &Composition,
+        lighting: &Lighting<'a>,
+        map: &EnvironmentMap,
+        settings: &Settings,
+    ) -> Result<Self, RelightError> {
+        let self_occlusion = match (settings.self_occlusion || settings.indirect, lighting.probes) {
             (false, _) => SelfOcclusion::None,
             (true, Some(_)) => SelfOcclusion::Mixed,
             (true, None) => SelfOcclusion::Trace,
@@ -57,17 +96,62 @@ impl<'a> RelitObjects<'a> {
             indirect: if settings.indirect { Indirect::OneBounce } else { Indirect::None },
             seed: settings.seed,
             raster: composition.raster(),
-            ..preset
+            ..shading_config(composition, settings)
         };
-        let relighter = Relighter::new(cloud, probes, map, config)
-            .map_err(|e| refused(&composition.objects[0].subject.path, &e))?;
-        Ok(Some(Self { relighter }))
+        let relighter = Relighter::new(lighting.cloud, lighting.probes, map, config)?;
+        Ok(Self::Sampled(Box::new(relighter)))
+    }
+
+    fn cached(
+        composition: &'a Composition,
+        lighting: &Lighting<'a>,
+        map: &EnvironmentMap,
+        settings: &Settings,
+    ) -> Result<Self, RelightError> {
+        let config = shading_config(composition, settings);
+        let standing = lighting.own.map(|own| own.standing(composition)).unwrap_or_default();
+        let shadows: Vec<Option<FieldShadow<'_>>> = match lighting.baked {
+            Some(baked) if composition.objects.len() > 1 => others(baked, composition)
+                .into_iter()
+                .map(|others| Some(FieldShadow::new(lighting.light, &others)))
+                .collect(),
+            _ => standing.iter().map(|_| None).collect(),
+        };
+        let lit: Vec<_> = standing
+            .into_iter()
+            .zip(&shadows)
+            .map(|((standing, own), others)| (standing, own, others.as_ref().map(|o| o as &dyn ShadowRatios)))
+            .collect();
+        let mirror = match (lighting.tracer, &composition.objects[..]) {
+            _ if lit.is_empty() => Mirror::Open,
+            (Some(tracer), _) => {
+                let radius = objects::bounding_sphere(lighting.cloud).map_or(0.0, |s| s.1);
+                Mirror::Trace { tracer, offset: config.trace_offset * 2.0 * radius }
+            }
+            (None, [object]) => match object.subject.probe_set() {
+                Some(set) => Mirror::Probes { set, world_from_object: object.world_from_object },
+                None => Mirror::Open,
+            },
+            _ => Mirror::Open,
+        };
+        let made = CachedRelighter::new(lighting.cloud, &lit, lighting.light, map, mirror, &config)?;
+        Ok(Self::Cached(Box::new(made)))
     }
 }
 
 impl ObjectShader for RelitObjects<'_> {
+    fn carrier(&self) -> Option<&SurfelCloud> {
+        match self {
+            Self::Sampled(_) => None,
+            Self::Cached(relighter) => Some(relighter.carrier()),
+        }
+    }
+
     fn shade(&self, camera: &Camera, frame: &Frame) -> Image {
-        self.relighter.shade(camera, frame).radiance
+        match self {
+            Self::Sampled(relighter) => relighter.shade(camera, frame).radiance,
+            Self::Cached(relighter) => relighter.shade(camera, frame),
+        }
     }
 }
 

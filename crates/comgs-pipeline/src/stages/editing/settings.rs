@@ -28,6 +28,18 @@ pub enum Relight {
     Off,
 }
 
+/// How objects under the scene's light are shaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Shading {
+    /// Cached, and sampled at `reference`.
+    Auto,
+    /// The matte part kept on the surfels, the highlight from few directions.
+    Cached,
+    /// Samples of light and reflectance at every pixel of every frame.
+    Sampled,
+}
+
 /// What is simulated and how finely.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
@@ -37,6 +49,10 @@ pub struct Settings {
     pub shadow: Shadow,
     /// The objects' light.
     pub relight: Relight,
+    /// How that light is worked out.
+    pub shading: Shading,
+    /// Samples a pixel of the objects' shading instead of the quality's.
+    pub rays: Option<u32>,
     /// What the objects hide from themselves and each other.
     pub self_occlusion: bool,
     /// Light that bounces between the objects' surfaces.
@@ -55,6 +71,8 @@ impl Default for Settings {
             quality: Quality::Balanced,
             shadow: Shadow::Auto,
             relight: Relight::Auto,
+            shading: Shading::Auto,
+            rays: None,
             self_occlusion: true,
             indirect: false,
             bounce: false,

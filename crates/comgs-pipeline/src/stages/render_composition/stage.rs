@@ -1,7 +1,7 @@
 //! The stage: reading, rendering, writing, recording.
 
 use super::{Ground, Renderer, cache_json, receivers};
-use crate::stages::editing::{Composition, Settings, Shadow, bake};
+use crate::stages::editing::{Composition, OwnLight, Settings, Shadow, bake};
 use crate::stages::plan::Plan;
 use crate::{Context, PipelineError, Run, RunRecord, Status, output};
 use comgs_compose::{ComposedFrame, layers::write_frame_layers};
@@ -103,7 +103,8 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         _ => comgs_compose::ReceiverCloud::default(),
     };
     let receivers_s = start.elapsed().as_secs_f64();
-    let renderer = Renderer::new(&composition, &ground, baked.as_ref(), &seen, settings)?;
+    let own = run.time("self-occlusion", || OwnLight::new(&composition, settings))?;
+    let renderer = Renderer::new(&composition, &ground, baked.as_ref(), own.as_ref(), &seen, settings)?;
     let p = renderer.prepared;
     for (stage, seconds) in [
         ("light", p.light_s),
@@ -183,6 +184,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         "shadow_ms": 1e3 * totals.shadow_s / n,
         "missed_pixels": totals.missed,
         "relit": renderer.is_relit(),
+        "own_light_bytes": own.as_ref().map_or(0, OwnLight::bytes),
         "shadow": renderer.shadow(),
         "light_directions": ground.light.directions.len(),
         "strong_lights": ground.light.beams.len(),
