@@ -24,32 +24,28 @@ def blake3(path):
 
 def main():
     p = argparse.ArgumentParser()
-    p.add_argument("checkpoint", nargs="+", help="of train.py; of several the mean counts")
+    p.add_argument("checkpoint", help="of train.py")
     p.add_argument("-o", "--output", required=True, help="folder of the bundle")
     p.add_argument("--name", default="comgs-small")
     p.add_argument("--steps", type=int, default=1)
     a = p.parse_args()
     os.makedirs(a.output, exist_ok=True)
     h, w, c = m.HEIGHT, m.WIDTH, len(m.CONDITION)
-    several = len(a.checkpoint) > 1
-    paths = []
-    for k, name in enumerate(a.checkpoint):
-        checkpoint = torch.load(name, weights_only=True)
-        net = m.Completer(dual=checkpoint["dual"])
-        net.load_state_dict(checkpoint["model"])
-        net.eval()
-        path = os.path.join(a.output, f"completer_{k}.onnx" if several else "completer.onnx")
-        example = (torch.zeros(1, 6, h, w), torch.ones(1), torch.zeros(1, c, h, w))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            torch.onnx.export(
-                net, example, path, opset_version=17, dynamo=False, do_constant_folding=True,
-                input_names=["noisy", "time", "condition"], output_names=["clean"],
-            )
-        graph = onnx.load(path)
-        onnx.checker.check_model(graph)
-        print(sorted({n.op_type for n in graph.graph.node}), os.path.getsize(path), "bytes")
-        paths.append(path)
+    checkpoint = torch.load(a.checkpoint, weights_only=True)
+    net = m.Completer(dual=checkpoint["dual"])
+    net.load_state_dict(checkpoint["model"])
+    net.eval()
+    path = os.path.join(a.output, "completer.onnx")
+    example = (torch.zeros(1, 6, h, w), torch.ones(1), torch.zeros(1, c, h, w))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            net, example, path, opset_version=17, dynamo=False, do_constant_folding=True,
+            input_names=["noisy", "time", "condition"], output_names=["clean"],
+        )
+    graph = onnx.load(path)
+    onnx.checker.check_model(graph)
+    print(sorted({n.op_type for n in graph.graph.node}), os.path.getsize(path), "bytes")
     port = lambda name, *shape: {"name": name, "shape": list(shape)}
     manifest = {
         "format": "comgs-model",
@@ -66,8 +62,6 @@ def main():
                 "fuse": list(m.FUSE), "largest_reinhard": m.LARGEST_REINHARD,
             },
             "zeros_at_last_step": True,
-            "mirrored": True,
-            "networks": len(paths),
         },
         "schedule": {
             "timesteps": m.TIMESTEPS, "betas": {"kind": "squared_cosine"}, "prediction": "x0", "spacing": "trailing",
@@ -76,7 +70,7 @@ def main():
         "solver": "ddim",
         "steps": a.steps,
         "graphs": {
-            f"denoiser_{k}" if several else "denoiser": {
+            "denoiser": {
                 "file": os.path.basename(path),
                 "blake3": blake3(path),
                 "inputs": {
@@ -86,7 +80,6 @@ def main():
                 },
                 "outputs": {"prediction": port("clean", 1, 6, h, w)},
             }
-            for k, path in enumerate(paths)
         },
     }
     with open(os.path.join(a.output, "model.json"), "w") as f:

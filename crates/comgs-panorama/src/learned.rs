@@ -33,7 +33,7 @@ pub struct Learned {
 }
 
 enum Engine {
-    Pixel(Pixel),
+    Pixel(Box<Pixel>),
     Latent(Box<Latent>),
 }
 
@@ -65,7 +65,7 @@ impl Learned {
         threads: usize,
     ) -> Result<Self, ModelError> {
         let engine = match &bundle.manifest.space {
-            Space::Codes(space) => Engine::Pixel(Pixel::load(space, bundle, runtime, threads)?),
+            Space::Codes(space) => Engine::Pixel(Box::new(Pixel::load(space, bundle, runtime, threads)?)),
             Space::Latent(_) => Engine::Latent(Box::new(Latent::load(bundle, runtime, threads)?)),
         };
         let manifest = bundle.manifest.clone();

@@ -77,49 +77,6 @@ fn exposure_passes_through() {
     }
 }
 
-/// Goal: the mirrored input gives the mirrored panorama, as the shipped model is asked both ways; several networks that are one give
-/// what one gives.
-#[test]
-fn mirrored_and_several() {
-    let partial = partial(64);
-    let mirrored = |image: &Image| {
-        let mut out = image.clone();
-        for i in 0..image.pixels() {
-            let (x, y) = (i % image.width, i / image.width);
-            out.pixel_mut(x, y).copy_from_slice(image.pixel(image.width - 1 - x, y));
-        }
-        out
-    };
-    let other = Partial {
-        normal: partial.normal.as_ref().map(|n| {
-            let mut n = mirrored(n);
-            n.data.chunks_exact_mut(3).for_each(|v| v[1] = -v[1]);
-            n
-        }),
-        ..Partial::new(mirrored(&partial.rgb), mirrored(&partial.alpha)).unwrap()
-    };
-    let straight = model(1).complete(&partial, 0).unwrap();
-    let turned = mirrored(&model(1).complete(&other, 0).unwrap());
-    let off = |a: &Image, b: &Image| {
-        a.data.iter().zip(&b.data).fold(0.0f32, |m, (a, b)| m.max((a - b).abs() / (0.1 + b.abs())))
-    };
-    // The canonical yaw is rounded to texels, and rounds the other way: one texel at most.
-    let near = [0, 1, 127].map(|by| off(&roll(&turned, by), &straight));
-    assert!(near.iter().any(|&o| o < 2e-3), "off by {near:?}");
-
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/panorama");
-    let mut manifest: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(folder.join("model.json")).unwrap()).unwrap();
-    manifest["space"]["networks"] = 2.into();
-    let graph = manifest["graphs"]["denoiser"].take();
-    manifest["graphs"] = serde_json::json!({"denoiser_0": graph, "denoiser_1": graph});
-    let read = |file: &str| std::fs::read(folder.join(file));
-    let bundle =
-        Bundle::from_parts(manifest.to_string().as_bytes(), &folder.join("model.json"), &read).unwrap();
-    let twice = Learned::new(&bundle, &Runtime::Embedded, Some(1), 0).unwrap();
-    assert!(off(&twice.complete(&partial, 0).unwrap(), &straight) < 1e-6);
-}
-
 /// Goal: the same seed gives the same bytes; with several steps another seed gives another panorama, and the spread is 0
 /// where the panorama is known.
 #[test]

@@ -359,7 +359,7 @@ mod tests {
         let (rows, height) = (70, 4);
         let texels = 2 * height * height;
         let entry = |row: usize, i: usize| {
-            if (row + i) % 3 == 0 { 0.0 } else { ((row * 31 + i * 17) % 101) as f32 / 100.0 }
+            if (row + i).is_multiple_of(3) { 0.0 } else { ((row * 31 + i * 17) % 101) as f32 / 100.0 }
         };
         let fill = |row: usize, dense: &mut [f32], _: &mut [f32; 3]| {
             dense.iter_mut().enumerate().for_each(|(i, v)| *v = entry(row, i));

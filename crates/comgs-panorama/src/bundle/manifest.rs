@@ -45,7 +45,7 @@ pub enum Space {
     Latent(LatentSpace),
 }
 
-/// A pixel-space model of high dynamic range. Graph `denoiser`, or `denoiser_0`, `denoiser_1` … of several whose mean counts: inputs `sample` `[1, 6, H, W]`, `time` `[1]`, the training step
+/// A pixel-space model of high dynamic range. Graph `denoiser`: inputs `sample` `[1, 6, H, W]`, `time` `[1]`, the training step
 /// over their number, in (0, 1], and `condition` `[1, C, H, W]`; output `prediction` `[1, 6, H, W]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -58,28 +58,6 @@ pub struct CodesSpace {
     /// the mean.
     #[serde(default)]
     pub zeros_at_last_step: bool,
-    /// Whether to take the mean with what it gives for the mirrored panorama, which makes the mirrored input's completion the
-    /// mirrored completion.
-    #[serde(default)]
-    pub mirrored: bool,
-    /// Networks, trained alike from other seeds, whose mean radiance is the completion.
-    #[serde(default = "single")]
-    pub networks: usize,
-}
-
-fn single() -> usize {
-    1
-}
-
-impl CodesSpace {
-    /// Roles of the networks.
-    #[must_use]
-    pub fn roles(&self) -> Vec<String> {
-        match self.networks {
-            1 => vec!["denoiser".into()],
-            n => (0..n).map(|k| format!("denoiser_{k}")).collect(),
-        }
-    }
 }
 
 /// A group of channels of a pixel-space condition.
@@ -330,7 +308,8 @@ impl LatentSpace {
                 out.push(format!("space.{what}"));
             }
         };
-        let fits = self.factor >= 1 && height % self.factor.max(1) == 0 && width % self.factor.max(1) == 0;
+        let fits =
+            self.factor >= 1 && height.is_multiple_of(self.factor) && width.is_multiple_of(self.factor);
         check(fits, format!("factor: expected a divisor of the resolution, got {}", self.factor));
         check(
             (1..=64).contains(&self.channels),
@@ -416,12 +395,7 @@ impl Manifest {
             out.push(format!("steps: expected 1 to {}, got {}", self.schedule.timesteps, self.steps));
         }
         match &self.space {
-            Space::Codes(space) => {
-                space.codes.problems(&mut out);
-                if !(1..=16).contains(&space.networks) {
-                    out.push(format!("space.networks: expected 1 to 16, got {}", space.networks));
-                }
-            }
+            Space::Codes(space) => space.codes.problems(&mut out),
             Space::Latent(latent) => latent.problems(width, height, &mut out),
         }
         self.schedule.problems(&mut out);
@@ -474,7 +448,7 @@ impl Manifest {
                     ("inputs", "condition", sized(condition, height, width)),
                     ("outputs", "prediction", sized(6, height, width)),
                 ];
-                space.roles().into_iter().map(|role| (role, ports.clone())).collect()
+                vec![("denoiser".into(), ports)]
             }
             Space::Latent(space) => {
                 let (w, h, c) = (width / space.factor.max(1), height / space.factor.max(1), space.channels);

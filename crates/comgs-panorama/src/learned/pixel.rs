@@ -1,6 +1,6 @@
 //! A pixel-space model of high dynamic range.
 
-use super::view::{KNOWN, View, mirrored};
+use super::view::{KNOWN, View};
 use crate::bundle::{Bundle, Channels, CodesSpace, GraphEntry, Manifest, ModelError};
 use crate::onnx::{Graph, Runtime, Tensor};
 use crate::partial::{Partial, resized};
@@ -14,7 +14,8 @@ use glam::Vec3;
 /// Network and its space.
 pub(super) struct Pixel {
     space: CodesSpace,
-    networks: Vec<(GraphEntry, Box<dyn Graph>)>,
+    entry: GraphEntry,
+    graph: Box<dyn Graph>,
 }
 
 impl Pixel {
@@ -24,11 +25,8 @@ impl Pixel {
         runtime: &Runtime,
         threads: usize,
     ) -> Result<Self, ModelError> {
-        let load = |role: String| -> Result<_, ModelError> {
-            Ok((bundle.manifest.graphs[&role].clone(), bundle.load(&role, runtime, threads)?))
-        };
-        let networks = space.roles().into_iter().map(load).collect::<Result<_, _>>()?;
-        Ok(Self { space: space.clone(), networks })
+        let graph = bundle.load("denoiser", runtime, threads)?;
+        Ok(Self { space: space.clone(), entry: bundle.manifest.graphs["denoiser"].clone(), graph })
     }
 
     /// Linear radiance of the whole sphere at the model's size, in the panorama's own yaw.
@@ -41,18 +39,9 @@ impl Pixel {
     ) -> Result<Image, CompletionError> {
         let view = View::new(partial, manifest.resolution, self.space.codes.middle)?;
         let level = view.geometric_mean / self.space.codes.middle;
-        let other = self.space.mirrored.then(|| view.mirrored());
-        let mut fill = Image::zeros(view.width, view.height, 3);
-        let share = 1.0 / (self.networks.len() * (1 + usize::from(self.space.mirrored))) as f32;
-        for k in 0..self.networks.len() {
-            for (seen, flip) in std::iter::once((&view, false)).chain(other.as_ref().map(|o| (o, true))) {
-                let codes = self.run(k, manifest, steps, &self.condition(seen, level), seed)?;
-                let image = self.decoded(&codes, seen, level)?;
-                let image = if flip { mirrored(&image) } else { image };
-                fill.data.iter_mut().zip(&image.data).for_each(|(a, b)| *a += share * b);
-            }
-        }
-        Ok(joined(partial, &view.back(&binomial(&fill)))?)
+        let codes = self.run(manifest, steps, &self.condition(&view, level), seed)?;
+        let fill = self.decoded(&codes, &view, level)?;
+        joined(partial, &view.back(&binomial(&fill)))
     }
 
     /// The network's radiance over the level, codes decoded: `6 · H · W` codes in, image out.
@@ -73,7 +62,6 @@ impl Pixel {
 
     fn run(
         &self,
-        network: usize,
         manifest: &Manifest,
         steps: usize,
         condition: &[f32],
@@ -81,7 +69,7 @@ impl Pixel {
     ) -> Result<Vec<f64>, ModelError> {
         let [width, height] = manifest.resolution;
         let n = 6 * width * height;
-        let (entry, graph) = &self.networks[network];
+        let entry = &self.entry;
         let (sample, time) = (&entry.inputs["sample"], &entry.inputs["time"]);
         let (given, prediction) = (&entry.inputs["condition"], &entry.outputs["prediction"]);
         let mut sampler = Sampler::new(&manifest.schedule, manifest.solver, steps);
@@ -98,7 +86,7 @@ impl Pixel {
                 (time.name.as_str(), Tensor::f32(&time.shape, vec![(t + 1) as f32 / total as f32])),
                 (given.name.as_str(), Tensor::f32(&given.shape, condition.to_vec())),
             ];
-            let output = super::finite(&**graph, &inputs, &prediction.name, n)?;
+            let output = super::finite(&*self.graph, &inputs, &prediction.name, n)?;
             codes = sampler.split(i, &x, &output).0;
             x = sampler.step(i, &x, &output);
         }

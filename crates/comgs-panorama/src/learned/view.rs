@@ -93,35 +93,4 @@ impl View {
     pub fn back(&self, map: &Image) -> Image {
         roll(map, (self.width - self.shift) % self.width)
     }
-
-    /// Left and right exchanged: y changes its sign.
-    pub fn mirrored(&self) -> Self {
-        let width = self.width;
-        let flags = |f: &[bool]| -> Vec<bool> {
-            f.chunks_exact(width).flat_map(|row| row.iter().rev().copied()).collect()
-        };
-        let normal = self.normal.as_ref().map(|n| {
-            let mut n = mirrored(n);
-            n.data.chunks_exact_mut(3).for_each(|v| v[1] = -v[1]);
-            n
-        });
-        Self {
-            rgb: mirrored(&self.rgb),
-            given: flags(&self.given),
-            clipped: flags(&self.clipped),
-            normal,
-            ..self.clone()
-        }
-    }
-}
-
-/// Left and right exchanged.
-pub(super) fn mirrored(map: &Image) -> Image {
-    let mut out = map.clone();
-    for y in 0..map.height {
-        for x in 0..map.width {
-            out.pixel_mut(x, y).copy_from_slice(map.pixel(map.width - 1 - x, y));
-        }
-    }
-    out
 }
