@@ -195,6 +195,8 @@ fn problems_of_a_latent_manifest() {
     assert!(text.contains("no embedding \"night\"") && text.contains("bright"), "{text}");
     let text = message(|m| m["space"]["prompts"]["blake3"] = "00".into());
     assert!(text.contains("checksum of prompts.safetensors"), "{text}");
+    let other = Latent::load(&Bundle::shipped().unwrap(), &Runtime::Embedded, 1).err().unwrap().to_string();
+    assert!(other.contains("expected the kind \"latent\""), "{other}");
     let text = message(|m| m["space"]["condition"] = serde_json::json!(["sample", "mask"]));
     assert!(text.contains("graphs.denoiser.inputs.sample.shape: expected [1, 5, 8, 16]"), "{text}");
 }

@@ -129,8 +129,8 @@ pub(crate) struct Light {
     #[command(flatten)]
     pub model: Model,
 
-    /// Ask the scene's own lit and shadowed surfaces for strong lights and for the scale of what was completed: better than a
-    /// harmonic completion alone, not yet than the learned one (docs/lighting.md)
+    /// Ask the scene's own lit and shadowed surfaces for strong lights and for the scale of what was completed: it has found
+    /// lights and has made some up, so look at its --report (docs/lighting.md)
     #[arg(long, value_enum, default_value = "off")]
     pub evidence: Switch,
 

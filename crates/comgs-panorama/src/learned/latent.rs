@@ -75,12 +75,12 @@ impl Latent {
     /// Loads the graphs and embeddings of a bundle whose space is latent.
     ///
     /// # Errors
-    /// [`ModelError`].
-    ///
-    /// # Panics
-    /// When the bundle's space is not latent.
+    /// [`ModelError`]; also when the bundle's space is not latent.
     pub fn load(bundle: &Bundle, runtime: &Runtime, threads: usize) -> Result<Self, ModelError> {
-        let Space::Latent(space) = bundle.manifest.space.clone() else { panic!("a bundle of latents") };
+        let Space::Latent(space) = bundle.manifest.space.clone() else {
+            let problems = vec!["space: expected the kind \"latent\"".to_owned()];
+            return Err(ModelError::Manifest { path: bundle.origin.clone().into(), problems });
+        };
         let network = |role: &str| Network::load(bundle, role, runtime, threads);
         let count = if matches!(space.exposures.by, HowExposed::Network { .. }) {
             space.exposures.ev.len()
