@@ -7,7 +7,9 @@ use comgs_insert::optimise::Curves;
 use comgs_insert::render::Samples;
 use comgs_insert::session::LightKind;
 use comgs_insert::tone::Response;
-use comgs_pipeline::stages::insert::{self, At, CameraFrom, Config, Filled, GuidedBy, Input, MaterialChoice};
+use comgs_pipeline::stages::insert::{
+    self, At, CameraFrom, Config, Filled, GroundFrom, GuidedBy, Input, MaterialChoice,
+};
 use comgs_pipeline::stages::insert_eval;
 use comgs_pipeline::{CancelToken, Context, PipelineError, Silent};
 use std::path::{Path, PathBuf};
@@ -41,7 +43,7 @@ fn files(folder: &Path) -> Input {
 fn small() -> Config {
     Config {
         camera: CameraFrom::Fov(50.0),
-        ground: Ground::Horizon { row: 17.0, height: 1.2 },
+        ground: GroundFrom::Given(Ground::Horizon { row: 17.0, height: 1.2 }),
         at: At::Ground([4.0, 0.0]),
         iterations: 120,
         light: LightKind::Gaussians(24),
@@ -180,7 +182,10 @@ fn bad_input() {
     assert!(with(&|_, c| c.at = At::Pixel([300.0, 10.0])).contains("72×48"));
     assert!(with(&|_, c| c.at = At::Ground([-3.0, 0.0])).contains("behind the camera"));
     assert!(with(&|_, c| c.at = At::Ground([2.0, 9.0])).contains("frame"));
-    assert!(with(&|_, c| c.ground = Ground::Horizon { row: 17.0, height: -1.0 }).contains("positive height"));
+    assert!(
+        with(&|_, c| c.ground = GroundFrom::Given(Ground::Horizon { row: 17.0, height: -1.0 }))
+            .contains("positive height")
+    );
     assert!(with(&|_, c| c.camera = CameraFrom::Fov(190.0)).contains("170 degrees"));
     assert!(with(&|_, c| c.scale = Some(-1.0)).contains("--scale"));
     assert!(with(&|_, c| c.light_height = 7).contains("--light-height"));
@@ -227,6 +232,7 @@ fn the_benchmark() {
     std::fs::create_dir(&maps).unwrap();
     let input = |maps: &Path| insert_eval::Input {
         maps: maps.to_owned(),
+        model: None,
         output: root.path().join("eval"),
         command: "comgs insert-eval maps".into(),
     };
@@ -235,6 +241,7 @@ fn the_benchmark() {
         samples: Samples { grid: 2, light: 24, shadow: 48, depth: 2 },
         iterations: 30,
         light_height: 16,
+        count: 1,
         ..insert_eval::Config::default()
     };
     let text = insert_eval::run(&input(&maps), &config, &Context::silent()).unwrap_err().to_string();
@@ -243,16 +250,60 @@ fn the_benchmark() {
     for x in 20..24 {
         map.pixel_mut(x, 8).copy_from_slice(&[40.0, 38.0, 30.0]);
     }
-    write_exr(&maps.join("a.exr"), &map).unwrap();
+    write_exr(&maps.join("city.exr"), &map).unwrap();
     let made = insert_eval::run(&input(&maps), &config, &Context::silent()).unwrap();
     let of = |name: &str| made.rows.iter().find(|r| r.method.contains(name)).unwrap().touched;
     assert!(of("true map").rmse_srgb < 0.5 * of("even").rmse_srgb);
     assert!(of("true map").ssim > of("even").ssim);
     let table = std::fs::read_to_string(&made.table).unwrap();
     assert!(table.contains("| even light |") && table.contains("comgs insert-eval maps"));
+    let there = |name: &str| root.path().join("eval").join(name);
+    assert!(there("sheet.png").is_file() && there("insert_eval.csv").is_file());
+    assert!(made.rows.iter().all(|r| !r.unseen));
+
+    // A further map leaves the first one's results as they are; stopped after some of its methods, it goes on from there.
+    let changed = |name: &str| std::fs::metadata(there(name)).unwrap().modified().unwrap();
+    let first = changed("city_panorama.png");
+    write_exr(&maps.join("mine.exr"), &map.map(|v| 0.7 * v)).unwrap();
+    let stopping = Stopping { token: CancelToken::default(), at: "mine, map 2 of 2, panorama" };
+    let context = Context { progress: &stopping, cancel: stopping.token.clone() };
+    let error = insert_eval::run(&input(&maps), &config, &context).unwrap_err();
+    let text = error.to_string();
+    assert!(matches!(error, PipelineError::Cancelled { .. }) && text.contains("1 of 2 maps"), "{text}");
+    let second = changed("mine_even_light.png");
+    assert!(!there("mine_panorama.png").exists() && !there("run.json").exists());
+    let made = insert_eval::run(&input(&maps), &config, &Context::silent()).unwrap();
+    assert_eq!((changed("city_panorama.png"), changed("mine_even_light.png")), (first, second));
+    assert_eq!(made.rows.iter().filter(|r| r.unseen).count(), made.rows.len() / 2);
+    let table = std::fs::read_to_string(&made.table).unwrap();
     assert!(
-        root.path().join("eval/sheet.png").is_file() && root.path().join("eval/insert_eval.csv").is_file()
+        table.contains("2 maps: all maps") && table.contains("1 maps: maps that it never saw"),
+        "{table}"
     );
+    // A picture that was changed is made again; another seed makes all of it again.
+    std::fs::write(there("mine_even_light.png"), b"damaged").unwrap();
+    insert_eval::run(&input(&maps), &config, &Context::silent()).unwrap();
+    assert!(changed("mine_even_light.png") > second && changed("city_panorama.png") == first);
+    insert_eval::run(&input(&maps), &insert_eval::Config { seed: 1, ..config }, &Context::silent()).unwrap();
+    assert!(changed("city_panorama.png") > first);
+}
+
+/// Asks for a stop when it hears of something.
+struct Stopping {
+    token: CancelToken,
+    at: &'static str,
+}
+
+impl comgs_pipeline::Progress for Stopping {
+    fn begin(&self, _: &str) {}
+    fn update(&self, status: &comgs_pipeline::Status) {
+        if status.message.starts_with(self.at) {
+            self.token.cancel();
+        }
+    }
+    fn end(&self, _: &str) {}
+    fn note(&self, _: &str) {}
+    fn warn(&self, _: &str) {}
 }
 
 /// Goal: the colour of a part is found from files, the light known; a search without a guidance that looks, a part that is
