@@ -269,6 +269,46 @@ impl<'a> FieldShadow<'a> {
     }
 }
 
+/// What the objects hide of single lights, for whoever sums them otherwise.
+impl FieldShadow<'_> {
+    /// `[point][direction]`: share in 255ths of the smooth light's directions that reaches a point past all objects.
+    #[must_use]
+    pub fn open(&self, points: &[Vec3]) -> Vec<u8> {
+        let count = self.light.directions.len();
+        let mut out = vec![255; points.len() * count];
+        if count == 0 {
+            return out;
+        }
+        out.par_chunks_mut(count).zip(points).with_min_len(CHUNK).for_each(|(out, point)| {
+            for object in &self.objects {
+                let p = *point - object.centre;
+                for ((k, out), towards) in out.iter_mut().enumerate().zip(&self.light.directions) {
+                    let along = p.dot(*towards);
+                    let reach = 1.1 * object.radius;
+                    if along >= reach || p.length_squared() - along * along >= reach * reach {
+                        continue;
+                    }
+                    let lookup = &object.directions[k];
+                    let (x, y, t) = lookup.place(p);
+                    if x.abs() < 1.1 && y.abs() < 1.1 && t < 1.0 {
+                        let projection = object.field.projection(lookup.projection);
+                        let res = object.field.config().resolution;
+                        let visible = 1.0 - OcclusionField::occlusion_at(projection, res, x, y, t);
+                        *out = (f32::from(*out) * visible.clamp(0.0, 1.0)).round() as u8;
+                    }
+                }
+            }
+        });
+        out
+    }
+
+    /// Traced transmittance of a world ray of unit direction past all objects.
+    #[must_use]
+    pub fn transmittance(&self, origin: Vec3, direction: Vec3, t_max: f32) -> f32 {
+        self.objects.iter().map(|o| o.transmittance(origin, direction, t_max)).product()
+    }
+}
+
 /// Whether a ray meets a sphere within `t_max`.
 fn meets(origin: Vec3, direction: Vec3, centre: Vec3, radius: f32, t_max: f32) -> bool {
     let to_centre = centre - origin;

@@ -38,7 +38,7 @@ pub use over::Ordering;
 pub use placement::{PlacementConfig, PlacementReport, check_placement};
 pub use receivers::Receivers;
 pub use relight::{
-    CachedRelighter, Heuristic, Indirect, Mirror, RelightConfig, RelightError, Relighter, RelitFrame,
+    CachedRelighter, Heuristic, Indirect, Mirror, NearField, RelightConfig, RelightError, Relighter, RelitFrame,
     SelfOcclusion, SelfVisibility, Standing,
 };
 pub use scene_probes::{Density, SceneProbeConfig, SceneProbes};

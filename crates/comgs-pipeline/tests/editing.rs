@@ -55,6 +55,7 @@ fn write(root: &Path, places: &[Similarity], with_material: bool, light: &Image)
             })
             .collect(),
         light: Some("env.exr".into()),
+        light_at: None,
         lamps: Vec::new(),
         effects: EffectPolicy { shadow: ShadowPolicy::Traced },
         cameras: "cameras.json".into(),

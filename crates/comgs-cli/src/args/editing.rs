@@ -57,6 +57,10 @@ pub(crate) struct Editing {
     #[arg(long, value_enum, default_value = "on")]
     pub self_occlusion: Switch,
 
+    /// Light from the scene's surfaces where they are, instead of a map infinitely far away
+    #[arg(long, value_enum, default_value = "off")]
+    pub near_field: Switch,
+
     /// Light that bounces between the objects' surfaces
     #[arg(long, value_enum, default_value = "off")]
     pub indirect: Switch,

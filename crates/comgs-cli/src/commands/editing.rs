@@ -28,6 +28,7 @@ fn settings(a: &args::Editing) -> Settings {
         },
         rays: None,
         self_occlusion: on(a.self_occlusion),
+        near_field: on(a.near_field),
         indirect: on(a.indirect),
         bounce: on(a.bounce),
         near_only: false,

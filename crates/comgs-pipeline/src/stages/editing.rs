@@ -75,7 +75,11 @@ impl Composition {
             objects.push(Placed { name: object.name.clone(), subject, world_from_object });
         }
         let lamps = record.lamps.iter().map(lamp).collect();
-        Ok(Self { record, scene, scene_path, objects, cameras, light_path, map, lamps })
+        let mut read = Self { record, scene, scene_path, objects, cameras, light_path, map, lamps };
+        // The map stays where it was taken when objects move.
+        let middle = read.middle().as_dvec3().to_array();
+        read.record.light_at.get_or_insert(middle);
+        Ok(read)
     }
 
     /// What a result depends on, but for cameras and settings.
@@ -115,6 +119,11 @@ impl Composition {
     pub fn middle(&self) -> Vec3 {
         let spheres: Vec<_> = self.spheres();
         spheres.iter().map(|s| s.0).sum::<Vec3>() / spheres.len().max(1) as f32
+    }
+
+    /// Where the map was taken, as far as the record knows; else the middle of the objects.
+    pub fn light_centre(&self) -> Vec3 {
+        self.record.light_at.map_or_else(|| self.middle(), |at| DVec3::from_array(at).as_vec3())
     }
 
     /// Bounding spheres of the objects, world.

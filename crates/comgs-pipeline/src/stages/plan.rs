@@ -163,7 +163,7 @@ fn plan(
         }
     }
     let seconds = always_s + lines.iter().filter(|l| l.on).map(|l| l.seconds).sum::<f64>();
-    lines.extend(unmodelled::lines(composition, &tracer));
+    lines.extend(unmodelled::lines(composition));
     Ok(Plan { lines, seconds, plan_s: 0.0, limits: *limits, settings: chosen, shortfall })
 }
 

@@ -10,7 +10,7 @@ use crate::stages::editing::{
 };
 use crate::{Context, PipelineError, Status};
 use comgs_compose::{
-    CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, ObjectShader,
+    CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, NearField, ObjectShader,
     ReceiverCloud, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig, ShadowLight, ShadowRatios,
     ShadowSource, objects,
 };
@@ -54,6 +54,10 @@ impl Prepared {
     }
 }
 
+/// Surfaces nearer to the light's centre than this many radii of the smallest object send it no light of their own: what
+/// floats where the object will stand.
+const NEAR_CLIP: f32 = 0.2;
+
 /// What frames are rendered with: everything that does not depend on the camera.
 pub(crate) struct Renderer<'a> {
     pub composer: &'a Composer<'a>,
@@ -68,6 +72,7 @@ pub(crate) struct Renderer<'a> {
 pub(crate) struct Ground<'a> {
     pub composer: Composer<'a>,
     pub light: ShadowLight,
+    pub near: Option<NearField>,
     pub object_tracer: Option<Tracer>,
     pub probes: Option<ProbeSet>,
     pub prepared: Prepared,
@@ -90,6 +95,15 @@ impl<'a> Ground<'a> {
             ShadowLight::new(&composition.map, &composition.lamps, &settings.light()).map_err(|e| {
                 PipelineError::input("the composition's lamps", "lights that can shine", e.to_string())
             })?;
+        let near = settings.near_field.then(|| {
+            let radius = composition.spheres().iter().map(|s| s.1).fold(f32::INFINITY, f32::min);
+            let (centre, split) = (composition.light_centre(), settings.light().split);
+            NearField::new(scene_tracer, centre, NEAR_CLIP * radius, &composition.map, split.as_ref())
+        });
+        let light = match &near {
+            Some(near) => near.located(light),
+            None => light,
+        };
         prepared.light_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let traced = settings.shadow == Shadow::Trace && composition.wants_shadow();
@@ -109,6 +123,7 @@ impl<'a> Ground<'a> {
         Ok(Self {
             composer,
             light,
+            near,
             object_tracer,
             probes: RelitObjects::probes(composition, settings),
             prepared,
@@ -151,6 +166,13 @@ impl<'a> Renderer<'a> {
         let mut prepared = ground.prepared;
         let shadow = if composition.wants_shadow() { settings.shadow } else { Shadow::None };
         let start = Instant::now();
+        // A floor in the objects' shadow sends them less light.
+        let near = ground.near.clone().map(|near| match baked {
+            Some(baked) if shadow == Shadow::Auto => {
+                near.with_shadow(&FieldShadow::new(&ground.light, &baked.placed(composition)))
+            }
+            _ => near,
+        });
         let lighting = Lighting {
             cloud: ground.composer.objects(),
             probes: ground.probes.as_ref(),
@@ -158,8 +180,9 @@ impl<'a> Renderer<'a> {
             light: &ground.light,
             baked,
             own,
+            near,
         };
-        let relit = RelitObjects::new(composition, &lighting, &lit_map(composition), settings)?;
+        let relit = RelitObjects::new(composition, lighting, &lit_map(composition), settings)?;
         prepared.relight_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let exact: Option<Box<dyn ShadowRatios + 'a>> = match (shadow, baked) {

@@ -55,6 +55,8 @@ pub struct Settings {
     pub rays: Option<u32>,
     /// What the objects hide from themselves and each other.
     pub self_occlusion: bool,
+    /// Light from the scene's surfaces where they are, instead of infinitely far away.
+    pub near_field: bool,
     /// Light that bounces between the objects' surfaces.
     pub indirect: bool,
     /// Light that the objects throw back on the scene.
@@ -74,6 +76,7 @@ impl Default for Settings {
             shading: Shading::Auto,
             rays: None,
             self_occlusion: true,
+            near_field: false,
             indirect: false,
             bounce: false,
             near_only: false,

@@ -11,6 +11,8 @@ pub(crate) const SELF_OCCLUSION: &str = "self-occlusion";
 pub(crate) const SHADOW_NEAR: &str = "cast shadow, near";
 /// Shadow beyond: a low sun.
 pub(crate) const SHADOW_FAR: &str = "cast shadow, far";
+/// Light from surfaces near the objects.
+pub(crate) const NEAR_FIELD: &str = "near-field light";
 /// Light that the objects throw back on the scene.
 pub(crate) const BOUNCE: &str = "bounce on the scene";
 /// Light between the objects' surfaces.
@@ -40,7 +42,7 @@ fn needs_shadow(composition: &Composition) -> Option<String> {
 }
 
 /// All, in the order in which they build on one another.
-pub(crate) const EFFECTS: [Effect; 6] = [
+pub(crate) const EFFECTS: [Effect; 7] = [
     Effect {
         name: RELIGHT,
         needs: None,
@@ -73,6 +75,13 @@ pub(crate) const EFFECTS: [Effect; 6] = [
         turn_on: |s| s.near_only = false,
     },
     Effect {
+        name: NEAR_FIELD,
+        needs: Some(SELF_OCCLUSION),
+        needs_occlusion: false,
+        missing: needs_material,
+        turn_on: |s| s.near_field = true,
+    },
+    Effect {
         name: BOUNCE,
         needs: Some(SHADOW_NEAR),
         needs_occlusion: false,
@@ -94,6 +103,7 @@ pub(crate) fn none(settings: &Settings) -> Settings {
         shadow: Shadow::None,
         relight: Relight::Off,
         self_occlusion: false,
+        near_field: false,
         indirect: false,
         bounce: false,
         near_only: false,
