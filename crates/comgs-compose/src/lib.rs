@@ -38,8 +38,8 @@ pub use over::Ordering;
 pub use placement::{PlacementConfig, PlacementReport, check_placement};
 pub use receivers::Receivers;
 pub use relight::{
-    CachedRelighter, Heuristic, Indirect, Mirror, NearField, RelightConfig, RelightError, Relighter, RelitFrame,
-    SelfOcclusion, SelfVisibility, Standing,
+    CachedRelighter, Heuristic, Indirect, Mirror, NearField, RelightConfig, RelightError, Relighter,
+    RelitFrame, SelfOcclusion, SelfVisibility, Standing,
 };
 pub use scene_probes::{Density, SceneProbeConfig, SceneProbes};
 pub use shadow::{DARK, LightSample, LightSource, Occluder, ShadowConfig, shadow_ratio};

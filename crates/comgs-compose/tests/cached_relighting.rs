@@ -152,7 +152,9 @@ fn objects_hide_the_same_light_once() {
         let frame = comgs_raster::render(cached.carrier(), &camera(), Planes::ALL, &config.raster);
         let shaded = cached.shade(&camera(), &frame);
         (0..64 * 64)
-            .map(|i| if frame.weight.data[i] > 0.99 { Vec3::from_slice(&shaded.data[3 * i..]) } else { Vec3::NAN })
+            .map(|i| {
+                if frame.weight.data[i] > 0.99 { Vec3::from_slice(&shaded.data[3 * i..]) } else { Vec3::NAN }
+            })
             .collect::<Vec<_>>()
     };
     let sampled = RelightConfig { self_occlusion: SelfOcclusion::Trace, ..config.clone().with_rays(2048) };

@@ -255,7 +255,8 @@ mod tests {
     /// Distances of a box, exact, without a tracer.
     fn room(half: Vec3, centre: Vec3, map: &EnvironmentMap) -> NearField {
         let reach = |d: Vec3| {
-            let axis = |p: f32, d: f32, h: f32| if d == 0.0 { f32::INFINITY } else { (h * d.signum() - p) / d };
+            let axis =
+                |p: f32, d: f32, h: f32| if d == 0.0 { f32::INFINITY } else { (h * d.signum() - p) / d };
             axis(centre.x, d.x, half.x).min(axis(centre.y, d.y, half.y)).min(axis(centre.z, d.z, half.z))
         };
         let texels = (0..SIDE * SIDE).map(|k| octahedral::texel_direction(k % SIDE, k / SIDE, SIDE));

@@ -10,9 +10,9 @@ use crate::stages::editing::{
 };
 use crate::{Context, PipelineError, Status};
 use comgs_compose::{
-    CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, NearField, ObjectShader,
-    ReceiverCloud, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig, ShadowLight, ShadowRatios,
-    ShadowSource, objects,
+    CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, NearField,
+    ObjectShader, ReceiverCloud, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig, ShadowLight,
+    ShadowRatios, ShadowSource, objects,
 };
 use comgs_geom::Camera;
 use comgs_light::EnvironmentSampler;
@@ -73,6 +73,7 @@ pub(crate) struct Ground<'a> {
     pub composer: Composer<'a>,
     pub light: ShadowLight,
     pub near: Option<NearField>,
+    scene_tracer: &'a Tracer,
     pub object_tracer: Option<Tracer>,
     pub probes: Option<ProbeSet>,
     pub prepared: Prepared,
@@ -124,12 +125,26 @@ impl<'a> Ground<'a> {
             composer,
             light,
             near,
+            scene_tracer,
             object_tracer,
             probes: RelitObjects::probes(composition, settings),
             prepared,
         })
     }
 }
+
+impl Ground<'_> {
+    /// The objects' shadow from their fields, past the scene's own.
+    fn field_shadow<'b>(&'b self, composition: &Composition, baked: &'b Baked) -> FieldShadow<'b> {
+        let smallest = composition.spheres().iter().map(|s| s.1).fold(f32::INFINITY, f32::min);
+        FieldShadow::new(&self.light, &baked.placed(composition))
+            .with_scene(self.scene_tracer, CLEARANCE * smallest)
+    }
+}
+
+/// Radii of the smallest object within which the scene does not hide a strong light from its own surface, whose surfels lie
+/// about it rather than on it.
+const CLEARANCE: f32 = 0.3;
 
 /// What the cameras see of the scene: does not change when objects move.
 pub(crate) fn receivers(
@@ -169,7 +184,7 @@ impl<'a> Renderer<'a> {
         // A floor in the objects' shadow sends them less light.
         let near = ground.near.clone().map(|near| match baked {
             Some(baked) if shadow == Shadow::Auto => {
-                near.with_shadow(&FieldShadow::new(&ground.light, &baked.placed(composition)))
+                near.with_shadow(&ground.field_shadow(composition, baked))
             }
             _ => near,
         });
@@ -187,7 +202,7 @@ impl<'a> Renderer<'a> {
         let start = Instant::now();
         let exact: Option<Box<dyn ShadowRatios + 'a>> = match (shadow, baked) {
             (Shadow::Auto, Some(baked)) => {
-                let field = FieldShadow::new(&ground.light, &baked.placed(composition));
+                let field = ground.field_shadow(composition, baked);
                 Some(Box::new(if settings.bounce {
                     let seen = seen_radiance(composition, &ground.composer, relit.as_ref());
                     field.with_bounce(move |_, d| seen.towards(d))

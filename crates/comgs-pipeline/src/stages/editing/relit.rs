@@ -5,8 +5,8 @@ use super::{Baked, Composition, Relight, Settings};
 use crate::PipelineError;
 use crate::stages::relight::subject::refused;
 use comgs_compose::{
-    CachedRelighter, FieldShadow, Indirect, Lamp, Mirror, ObjectShader, RelightConfig, RelightError,
-    NearField, Relighter, SelfOcclusion, ShadowLight, objects,
+    CachedRelighter, FieldShadow, Indirect, Lamp, Mirror, NearField, ObjectShader, RelightConfig,
+    RelightError, Relighter, SelfOcclusion, ShadowLight, objects,
 };
 use comgs_geom::Camera;
 use comgs_image::Image;
@@ -135,15 +135,8 @@ impl<'a> RelitObjects<'a> {
             },
             _ => Mirror::Open,
         };
-        let made = CachedRelighter::new(
-            lighting.cloud,
-            &lit,
-            lighting.light,
-            map,
-            mirror,
-            lighting.near,
-            &config,
-        )?;
+        let made =
+            CachedRelighter::new(lighting.cloud, &lit, lighting.light, map, mirror, lighting.near, &config)?;
         Ok(Self::Cached(Box::new(made)))
     }
 }
