@@ -10,7 +10,7 @@ use crate::stages::editing::{
 };
 use crate::{Context, PipelineError, Status};
 use comgs_compose::{
-    CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, NearField,
+    CacheConfig, CacheStatistics, CameraLook, ComposeConfig, ComposedFrame, Composer, FieldShadow, NearField,
     ObjectShader, ReceiverCloud, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig, ShadowLight,
     ShadowRatios, ShadowSource, objects,
 };
@@ -66,6 +66,11 @@ pub(crate) struct Renderer<'a> {
     relit: Option<RelitObjects<'a>>,
     pub prepared: Prepared,
     shadow: Shadow,
+    /// What the photos' camera adds.
+    look: CameraLook,
+    seed: u64,
+    /// Tells frames of one camera apart: the step of a movement.
+    pub step: u64,
 }
 
 /// What must outlive a [`Renderer`].
@@ -227,7 +232,13 @@ impl<'a> Renderer<'a> {
             prepared.cache_s = cache.statistics().seconds;
             cache
         });
-        Ok(Self { composer: &ground.composer, exact, cache, relit, prepared, shadow })
+        let look = composition.look.unwrap_or_default();
+        let look = CameraLook {
+            defocus: look.defocus.filter(|_| settings.defocus),
+            noise: look.noise.filter(|_| settings.noise),
+        };
+        let (composer, seed) = (&ground.composer, settings.seed);
+        Ok(Self { composer, exact, cache, relit, prepared, shadow, look, seed, step: 0 })
     }
 
     /// One frame.
@@ -237,7 +248,10 @@ impl<'a> Renderer<'a> {
             _ => ShadowSource::Configured,
         };
         let shader = self.relit.as_ref().map(|r| r as &dyn ObjectShader);
-        self.composer.frame_with(camera, source, shader)
+        let mut frame = self.composer.frame_with(camera, source, shader);
+        let name = camera.name.bytes().fold(0u64, |h, b| h.wrapping_mul(31).wrapping_add(u64::from(b)));
+        self.look.apply(&mut frame, self.seed, name.wrapping_add(self.step.wrapping_mul(0x9e37_79b9)));
+        frame
     }
 
     /// What the shadow cache took.

@@ -61,6 +61,10 @@ pub struct Settings {
     pub indirect: bool,
     /// Light that the objects throw back on the scene.
     pub bounce: bool,
+    /// The photos' defocus on the objects.
+    pub defocus: bool,
+    /// The photos' noise on the frames.
+    pub noise: bool,
     /// Leave out shadows beyond a few radii of the objects.
     pub near_only: bool,
     /// Seed.
@@ -79,6 +83,8 @@ impl Default for Settings {
             near_field: false,
             indirect: false,
             bounce: false,
+            defocus: false,
+            noise: false,
             near_only: false,
             seed: 0,
         }

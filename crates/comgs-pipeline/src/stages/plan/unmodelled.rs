@@ -15,23 +15,20 @@ pub(super) fn lines(composition: &Composition) -> Vec<Line> {
         on: false,
         reason,
     };
-    vec![
-        line(
-            "glossy receiver",
-            match glossy {
-                Some(g) if g > GLOSSY => format!(
-                    "not modelled: the surface under the object looks glossy (its radiance varies by {:.0} % with the view)",
-                    100.0 * g
-                ),
-                Some(g) => format!(
-                    "not modelled, and not called for: radiance varies by {:.0} % with the view",
-                    100.0 * g
-                ),
-                None => "not modelled: no surface of the scene is near the object".to_owned(),
-            },
-        ),
-        line("defocus and noise", "not modelled: frames are sharp and free of the photos' noise".to_owned()),
-    ]
+    vec![line(
+        "glossy receiver",
+        match glossy {
+            Some(g) if g > GLOSSY => format!(
+                "not modelled: the surface under the object looks glossy (its radiance varies by {:.0} % with the view)",
+                100.0 * g
+            ),
+            Some(g) => format!(
+                "not modelled, and not called for: radiance varies by {:.0} % with the view",
+                100.0 * g
+            ),
+            None => "not modelled: no surface of the scene is near the object".to_owned(),
+        },
+    )]
 }
 
 /// Variation of the radiance with the view from which on a surface counts as glossy.
