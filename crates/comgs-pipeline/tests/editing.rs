@@ -55,6 +55,7 @@ fn write(root: &Path, places: &[Similarity], with_material: bool, light: &Image)
             })
             .collect(),
         light: Some("env.exr".into()),
+        light_at: None,
         lamps: Vec::new(),
         effects: EffectPolicy { shadow: ShadowPolicy::Traced },
         cameras: "cameras.json".into(),
@@ -72,6 +73,7 @@ fn render(root: &Path, composition: &Path, name: &str, settings: Settings) -> re
     let input = render_composition::Input {
         composition: composition.to_owned(),
         cameras: None,
+        photos: None,
         cache: Some(root.join("cache")),
         output: root.join(name),
     };
@@ -144,8 +146,13 @@ fn hard_case_32_several_objects_and_lamps() {
     assert!(rms(&picture(root, "two", "00000"), &picture(root, "lamp", "00000")) > 0.004);
     record.lamps = vec![LampRecord::Point { position: [f64::MAX; 3], intensity: [-1.0; 3], radius: 0.1 }];
     record.write(&composition).unwrap();
-    let input =
-        render_composition::Input { composition, cameras: None, cache: None, output: root.join("bad") };
+    let input = render_composition::Input {
+        composition,
+        cameras: None,
+        photos: None,
+        cache: None,
+        output: root.join("bad"),
+    };
     let error = render_composition::run(&input, &Default::default(), &Context::silent()).unwrap_err();
     assert!(error.to_string().contains("lamp 1"), "{error}");
 }
@@ -184,7 +191,7 @@ fn hard_cases_26_30_33_bad_input_is_named() {
     let composition = write(root, &[standing], false, &sky);
     let text = std::fs::read_to_string(&composition).unwrap();
     std::fs::write(&composition, text.replace("\"scale\": 0.6", "\"scale\": -0.6")).unwrap();
-    let input = plan::Input { composition, cameras: None };
+    let input = plan::Input { composition, cameras: None, photos: None };
     let error = plan::run(&input, &draft(), &plan::Limits::default(), &Context::silent()).unwrap_err();
     assert!(
         matches!(error, PipelineError::Scene(_)) && error.to_string().contains("similarity.scale"),
@@ -207,6 +214,7 @@ fn objects_move_along_a_path() {
             composition: composition.clone(),
             path,
             cameras: Some(root.join("one.json")),
+            photos: None,
             cache: None,
             output: root.join("film"),
         }
@@ -239,7 +247,7 @@ fn estimates_hold_within_a_factor_of_two() {
     let root = root.path();
     for (light, name) in [(sunny(), "sun"), (Image::filled(16, 8, 3, 0.5), "overcast")] {
         let composition = write(root, &[similarity(0.0, 0.0, 0.3)], true, &light);
-        let input = plan::Input { composition: composition.clone(), cameras: None };
+        let input = plan::Input { composition: composition.clone(), cameras: None, photos: None };
         let made = plan::run(&input, &draft(), &plan::Limits::default(), &Context::silent()).unwrap();
         let line = |effect: &str| made.lines.iter().find(|l| l.effect == effect).unwrap();
         let off = Settings { relight: Relight::Off, shadow: Shadow::None, self_occlusion: false, ..draft() };
@@ -282,7 +290,7 @@ fn what_nobody_sees_is_not_tried() {
     let root = root.path();
     let plan_of = |composition: PathBuf| {
         plan::run(
-            &plan::Input { composition, cameras: None },
+            &plan::Input { composition, cameras: None, photos: None },
             &draft(),
             &plan::Limits::default(),
             &Context::silent(),
@@ -292,9 +300,69 @@ fn what_nobody_sees_is_not_tried() {
     let away = plan_of(write(root, &[similarity(500.0, 0.0, 0.3)], true, &sunny()));
     assert!(away.lines.iter().all(|l| !l.on), "{}", away.to_text());
     let untried = away.lines.iter().filter(|l| l.reason.starts_with("not tried")).count();
-    assert_eq!(untried, 4, "{}", away.to_text());
+    assert_eq!(untried, 5, "{}", away.to_text());
     let plain = plan_of(write(root, &[similarity(0.0, 0.0, 0.3)], false, &sunny()));
     let reason = |effect: &str| plain.lines.iter().find(|l| l.effect == effect).unwrap().reason.clone();
     assert!(reason("scene light on the object").contains("comgs decompose"), "{}", plain.to_text());
     assert!(plain.lines.iter().any(|l| l.on && l.effect == "cast shadow, near"));
+}
+
+/// Goal: frames have noise where the scene's photos have some, as much as these, and as the plan said (factor of two); clean photos call for
+/// none, and without photos the plan says what is missing.
+#[test]
+fn frames_take_the_noise_of_photos() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    let composition = write(root, &[similarity(0.0, 0.0, 0.3)], false, &sunny());
+    let photos = root.join("photos");
+    common::write_capture(
+        &photos,
+        &common::scene_cloud(),
+        AssetKind::Scene,
+        &common::ring(4, 2.8, 1.6, (160, 120), 0.9),
+    );
+    let plan_with = |photos: Option<&Path>| {
+        let input = plan::Input {
+            composition: composition.clone(),
+            cameras: None,
+            photos: photos.map(Path::to_owned),
+        };
+        plan::run(&input, &draft(), &plan::Limits::default(), &Context::silent()).unwrap()
+    };
+    let line = |plan: &plan::Plan| plan.lines.iter().find(|l| l.effect == "noise").unwrap().clone();
+    assert!(line(&plan_with(None)).reason.contains("--photos"));
+    let clean = line(&plan_with(Some(&photos)));
+    assert!(!clean.on && clean.reason.contains("no noise"), "{clean:?}");
+
+    let noise = comgs_compose::Noise { sigma: [0.03; 8] };
+    for (k, split) in ["train", "test"].iter().enumerate() {
+        for entry in std::fs::read_dir(photos.join(split).join("images")).unwrap() {
+            let path = entry.unwrap().path();
+            let mut photo = comgs_image::read(&path).unwrap().color;
+            let name = path.file_name().unwrap().to_string_lossy().bytes().map(u64::from).sum::<u64>();
+            noise.add(&mut photo, 5, name + 1000 * k as u64);
+            comgs_image::write_png(&path, &photo).unwrap();
+        }
+    }
+    let planned = plan_with(Some(&photos));
+    let noisy = line(&planned);
+    assert!(noisy.on && planned.settings.noise, "{noisy:?}");
+    let shown = |noise: bool, name: &str| {
+        let input = render_composition::Input {
+            composition: composition.clone(),
+            cameras: None,
+            photos: Some(photos.clone()),
+            cache: None,
+            output: root.join(name),
+        };
+        let settings = Settings { noise, shadow: Shadow::None, ..draft() };
+        let config = render_composition::Config { settings, ..render_composition::Config::default() };
+        render_composition::run(&input, &config, &Context::silent()).unwrap();
+        ["00000", "00001", "00002"].map(|c| picture(root, name, c)).to_vec()
+    };
+    let (before, after) = (shown(false, "without"), shown(true, "with"));
+    let ratio = noisy.change.unwrap().mean / plan::change(&before, &after).mean;
+    assert!((0.5..2.0).contains(&ratio), "{ratio}");
+    let found = comgs_compose::Noise::estimate(&after).unwrap();
+    assert!((found.at(0.5) / 0.03 - 1.0).abs() < 0.3, "{found:?}");
 }

@@ -28,8 +28,11 @@ fn settings(a: &args::Editing) -> Settings {
         },
         rays: None,
         self_occlusion: on(a.self_occlusion),
+        near_field: on(a.near_field),
         indirect: on(a.indirect),
         bounce: on(a.bounce),
+        defocus: a.photos.is_some(),
+        noise: a.photos.is_some(),
         near_only: false,
         seed: a.seed,
     }
@@ -46,7 +49,8 @@ pub(super) fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Res
     let mut chosen = settings(&a.editing);
     let mut planned = None;
     if a.tolerance.is_some() || a.budget.is_some() {
-        let input = plan::Input { composition: composition.clone(), cameras: a.cameras.clone() };
+        let photos = a.editing.photos.clone();
+        let input = plan::Input { composition: composition.clone(), cameras: a.cameras.clone(), photos };
         let limits = plan::Limits { tolerance: a.tolerance.unwrap_or(plan::TOLERANCE), budget_s: a.budget };
         let made = plan::run(&input, &chosen, &limits, context)?;
         write(format_args!("{}", made.to_text()));
@@ -56,6 +60,7 @@ pub(super) fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Res
     let input = render_composition::Input {
         composition: composition.clone(),
         cameras: a.cameras.clone(),
+        photos: a.editing.photos.clone(),
         cache: a.cache.clone(),
         output: a.output.clone(),
     };
@@ -76,7 +81,7 @@ pub(super) fn run_shadow(a: &args::Shadow, context: &Context<'_>) -> anyhow::Res
 }
 
 pub(super) fn run_plan(a: &args::Plan, context: &Context<'_>) -> anyhow::Result<()> {
-    let input = plan::Input { composition: a.composition.clone(), cameras: None };
+    let input = plan::Input { composition: a.composition.clone(), cameras: None, photos: a.photos.clone() };
     let settings = Settings { quality: a.quality.into(), seed: a.seed, ..Settings::default() };
     let limits = plan::Limits { tolerance: a.tolerance, budget_s: a.budget };
     write(format_args!("{}", plan::run(&input, &settings, &limits, context)?.to_text()));
@@ -88,6 +93,7 @@ pub(super) fn run_animate(a: &args::Animate, context: &Context<'_>) -> anyhow::R
         composition: a.composition.clone(),
         path: a.path.clone(),
         cameras: a.cameras.clone(),
+        photos: a.editing.photos.clone(),
         cache: a.cache.clone(),
         output: a.output.clone(),
     };

@@ -23,6 +23,8 @@ pub struct Input {
     pub path: PathBuf,
     /// Cameras instead of the composition's: one for all steps, or one a step.
     pub cameras: Option<PathBuf>,
+    /// Photos of the scene whose defocus and noise frames are to have.
+    pub photos: Option<PathBuf>,
     /// Folder of occlusion fields.
     pub cache: Option<PathBuf>,
     /// Output folder.
@@ -61,6 +63,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     let settings = &config.settings;
     let mut composition =
         Composition::load(&input.composition, input.cameras.as_deref(), |text| run.warn(context, text))?;
+    composition.match_photos(input.photos.as_deref(), context)?;
     let poses = poses(input, &composition)?;
     let cameras = std::mem::take(&mut composition.cameras);
     if cameras.len() != 1 && cameras.len() != poses.len() {
@@ -117,7 +120,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
             seen = Some(receivers(&ground.composer, std::slice::from_ref(camera), context)?);
         }
         let start = Instant::now();
-        let renderer = Renderer::new(
+        let mut renderer = Renderer::new(
             &composition,
             &ground,
             baked.as_ref(),
@@ -125,6 +128,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
             seen.as_ref().unwrap_or(&Default::default()),
             settings,
         )?;
+        renderer.step = i as u64;
         spent += start.elapsed().as_secs_f64();
         edit_s += spent;
         let start = Instant::now();

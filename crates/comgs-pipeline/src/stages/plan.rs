@@ -34,6 +34,8 @@ pub struct Input {
     pub composition: PathBuf,
     /// Cameras instead of the composition's.
     pub cameras: Option<PathBuf>,
+    /// Photos of the scene whose defocus and noise frames are to have.
+    pub photos: Option<PathBuf>,
 }
 
 /// What an effect must be worth.
@@ -95,8 +97,9 @@ pub fn run(
 ) -> Result<Plan, PipelineError> {
     context.progress.begin("plan");
     let start = Instant::now();
-    let composition =
+    let mut composition =
         Composition::load(&input.composition, input.cameras.as_deref(), |text| context.progress.warn(&text))?;
+    composition.match_photos(input.photos.as_deref(), context)?;
     let settings = Settings { shadow: Shadow::Auto, ..settings.clone() };
     // The outline of an occluder decides about a pilot of a hundred pixels at a draft's resolution too.
     let draft = Settings { quality: comgs_inverse::Quality::Draft, ..settings.clone() };
@@ -163,7 +166,7 @@ fn plan(
         }
     }
     let seconds = always_s + lines.iter().filter(|l| l.on).map(|l| l.seconds).sum::<f64>();
-    lines.extend(unmodelled::lines(composition, &tracer));
+    lines.extend(unmodelled::lines(composition));
     Ok(Plan { lines, seconds, plan_s: 0.0, limits: *limits, settings: chosen, shortfall })
 }
 

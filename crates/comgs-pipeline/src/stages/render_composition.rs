@@ -10,9 +10,9 @@ use crate::stages::editing::{
 };
 use crate::{Context, PipelineError, Status};
 use comgs_compose::{
-    CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, ObjectShader,
-    ReceiverCloud, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig, ShadowLight, ShadowRatios,
-    ShadowSource, objects,
+    CacheConfig, CacheStatistics, CameraLook, ComposeConfig, ComposedFrame, Composer, FieldShadow, NearField,
+    ObjectShader, ReceiverCloud, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig, ShadowLight,
+    ShadowRatios, ShadowSource, objects,
 };
 use comgs_geom::Camera;
 use comgs_light::EnvironmentSampler;
@@ -54,6 +54,10 @@ impl Prepared {
     }
 }
 
+/// Surfaces nearer to the light's centre than this many radii of the smallest object send it no light of their own: what
+/// floats where the object will stand.
+const NEAR_CLIP: f32 = 0.2;
+
 /// What frames are rendered with: everything that does not depend on the camera.
 pub(crate) struct Renderer<'a> {
     pub composer: &'a Composer<'a>,
@@ -62,12 +66,19 @@ pub(crate) struct Renderer<'a> {
     relit: Option<RelitObjects<'a>>,
     pub prepared: Prepared,
     shadow: Shadow,
+    /// What the photos' camera adds.
+    look: CameraLook,
+    seed: u64,
+    /// Tells frames of one camera apart: the step of a movement.
+    pub step: u64,
 }
 
 /// What must outlive a [`Renderer`].
 pub(crate) struct Ground<'a> {
     pub composer: Composer<'a>,
     pub light: ShadowLight,
+    pub near: Option<NearField>,
+    scene_tracer: &'a Tracer,
     pub object_tracer: Option<Tracer>,
     pub probes: Option<ProbeSet>,
     pub prepared: Prepared,
@@ -90,6 +101,15 @@ impl<'a> Ground<'a> {
             ShadowLight::new(&composition.map, &composition.lamps, &settings.light()).map_err(|e| {
                 PipelineError::input("the composition's lamps", "lights that can shine", e.to_string())
             })?;
+        let near = settings.near_field.then(|| {
+            let radius = composition.spheres().iter().map(|s| s.1).fold(f32::INFINITY, f32::min);
+            let (centre, split) = (composition.light_centre(), settings.light().split);
+            NearField::new(scene_tracer, centre, NEAR_CLIP * radius, &composition.map, split.as_ref())
+        });
+        let light = match &near {
+            Some(near) => near.located(light),
+            None => light,
+        };
         prepared.light_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let traced = settings.shadow == Shadow::Trace && composition.wants_shadow();
@@ -109,12 +129,27 @@ impl<'a> Ground<'a> {
         Ok(Self {
             composer,
             light,
+            near,
+            scene_tracer,
             object_tracer,
             probes: RelitObjects::probes(composition, settings),
             prepared,
         })
     }
 }
+
+impl Ground<'_> {
+    /// The objects' shadow from their fields, past the scene's own.
+    fn field_shadow<'b>(&'b self, composition: &Composition, baked: &'b Baked) -> FieldShadow<'b> {
+        let smallest = composition.spheres().iter().map(|s| s.1).fold(f32::INFINITY, f32::min);
+        FieldShadow::new(&self.light, &baked.placed(composition))
+            .with_scene(self.scene_tracer, CLEARANCE * smallest)
+    }
+}
+
+/// Radii of the smallest object within which the scene does not hide a strong light from its own surface, whose surfels lie
+/// about it rather than on it.
+const CLEARANCE: f32 = 0.3;
 
 /// What the cameras see of the scene: does not change when objects move.
 pub(crate) fn receivers(
@@ -151,6 +186,13 @@ impl<'a> Renderer<'a> {
         let mut prepared = ground.prepared;
         let shadow = if composition.wants_shadow() { settings.shadow } else { Shadow::None };
         let start = Instant::now();
+        // A floor in the objects' shadow sends them less light.
+        let near = ground.near.clone().map(|near| match baked {
+            Some(baked) if shadow == Shadow::Auto => {
+                near.with_shadow(&ground.field_shadow(composition, baked))
+            }
+            _ => near,
+        });
         let lighting = Lighting {
             cloud: ground.composer.objects(),
             probes: ground.probes.as_ref(),
@@ -158,13 +200,14 @@ impl<'a> Renderer<'a> {
             light: &ground.light,
             baked,
             own,
+            near,
         };
-        let relit = RelitObjects::new(composition, &lighting, &lit_map(composition), settings)?;
+        let relit = RelitObjects::new(composition, lighting, &lit_map(composition), settings)?;
         prepared.relight_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let exact: Option<Box<dyn ShadowRatios + 'a>> = match (shadow, baked) {
             (Shadow::Auto, Some(baked)) => {
-                let field = FieldShadow::new(&ground.light, &baked.placed(composition));
+                let field = ground.field_shadow(composition, baked);
                 Some(Box::new(if settings.bounce {
                     let seen = seen_radiance(composition, &ground.composer, relit.as_ref());
                     field.with_bounce(move |_, d| seen.towards(d))
@@ -189,7 +232,13 @@ impl<'a> Renderer<'a> {
             prepared.cache_s = cache.statistics().seconds;
             cache
         });
-        Ok(Self { composer: &ground.composer, exact, cache, relit, prepared, shadow })
+        let look = composition.look.unwrap_or_default();
+        let look = CameraLook {
+            defocus: look.defocus.filter(|_| settings.defocus),
+            noise: look.noise.filter(|_| settings.noise),
+        };
+        let (composer, seed) = (&ground.composer, settings.seed);
+        Ok(Self { composer, exact, cache, relit, prepared, shadow, look, seed, step: 0 })
     }
 
     /// One frame.
@@ -199,7 +248,10 @@ impl<'a> Renderer<'a> {
             _ => ShadowSource::Configured,
         };
         let shader = self.relit.as_ref().map(|r| r as &dyn ObjectShader);
-        self.composer.frame_with(camera, source, shader)
+        let mut frame = self.composer.frame_with(camera, source, shader);
+        let name = camera.name.bytes().fold(0u64, |h, b| h.wrapping_mul(31).wrapping_add(u64::from(b)));
+        self.look.apply(&mut frame, self.seed, name.wrapping_add(self.step.wrapping_mul(0x9e37_79b9)));
+        frame
     }
 
     /// What the shadow cache took.

@@ -21,6 +21,8 @@ pub struct Input {
     pub composition: PathBuf,
     /// Cameras instead of the composition's.
     pub cameras: Option<PathBuf>,
+    /// Photos of the scene whose defocus and noise frames are to have: any capture.
+    pub photos: Option<PathBuf>,
     /// Folder of occlusion fields (made by `comgs shadow`); what is missing there is baked and kept.
     pub cache: Option<PathBuf>,
     /// Output folder.
@@ -64,8 +66,9 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         output::check_folder(cache)?;
     }
     let settings = &config.settings;
-    let composition =
+    let mut composition =
         Composition::load(&input.composition, input.cameras.as_deref(), |text| run.warn(context, text))?;
+    composition.match_photos(input.photos.as_deref(), context)?;
     let mut fingerprint = composition.fingerprint("render")?;
     fingerprint.config("cameras", &composition.cameras)?;
     fingerprint.config("config", config)?;
@@ -76,7 +79,8 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         let frame_s = record.results["frame_ms"].as_f64().unwrap_or(0.0) / 1e3;
         return Ok(Output { frames: frames_folder, frame_s, reused: true, record });
     }
-    let inputs = json!({"composition": input.composition, "cameras": input.cameras, "cache": input.cache});
+    let inputs = json!({"composition": input.composition, "cameras": input.cameras, "cache": input.cache,
+        "photos": input.photos});
     run.describe(fingerprint, inputs, config, Some(settings.seed))?;
     run.invalidate()?;
 
@@ -186,6 +190,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         "relit": renderer.is_relit(),
         "own_light_bytes": own.as_ref().map_or(0, OwnLight::bytes),
         "shadow": renderer.shadow(),
+        "look": composition.look,
         "light_directions": ground.light.directions.len(),
         "strong_lights": ground.light.beams.len(),
         "strong_share": ground.light.strong_share(),
