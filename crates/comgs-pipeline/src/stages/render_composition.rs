@@ -3,18 +3,19 @@
 
 mod stage;
 
-pub use stage::{Config, Input, Output, run};
+pub use stage::{Config, Input, Output, run, run_planned};
 
 use crate::stages::editing::{
     Baked, Composition, Lighting, OwnLight, RelitObjects, Settings, Shadow, lit_map,
 };
 use crate::{Context, PipelineError, Status};
 use comgs_compose::{
-    CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, ObjectShader,
-    ReceiverCloud, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig, ShadowLight, ShadowRatios,
-    ShadowSource, objects,
+    CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, ObjectFrame,
+    ObjectShader, ReceiverCloud, SceneFrame, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig,
+    ShadowLight, ShadowRatios, ShadowSource, objects,
 };
 use comgs_geom::Camera;
+use comgs_image::Image;
 use comgs_light::EnvironmentSampler;
 use comgs_probe::{BakeObserver, ProbeSet};
 use comgs_trace::{TraceConfig, Tracer};
@@ -62,6 +63,7 @@ pub(crate) struct Renderer<'a> {
     relit: Option<RelitObjects<'a>>,
     pub prepared: Prepared,
     shadow: Shadow,
+    near_only: bool,
 }
 
 /// What must outlive a [`Renderer`].
@@ -116,23 +118,73 @@ impl<'a> Ground<'a> {
     }
 }
 
-/// What the cameras see of the scene: does not change when objects move.
-pub(crate) fn receivers(
-    composer: &Composer<'_>,
-    cameras: &[Camera],
-    context: &Context<'_>,
-) -> Result<ReceiverCloud, PipelineError> {
-    let mut cloud = ReceiverCloud::default();
-    for (i, camera) in cameras.iter().enumerate() {
-        context.check()?;
-        context.progress.update(&Status {
-            fraction: Some(i as f64 / cameras.len() as f64),
-            message: format!("what camera {} sees", camera.name),
-            remaining: None,
-        });
-        cloud.add(camera, &composer.receivers(camera));
+/// What cameras see of the scene: does not change when objects move.
+#[derive(Default)]
+pub(crate) struct Seen {
+    /// The points of all of them.
+    pub cloud: ReceiverCloud,
+    /// The frame of every camera, as far as memory goes.
+    frames: Vec<Option<SceneFrame>>,
+}
+
+/// Memory for frames of the scene.
+const KEPT_BYTES: usize = 256 << 20;
+
+impl Seen {
+    /// Looks through every camera. `known` are frames that are there already.
+    ///
+    /// # Errors
+    /// [`PipelineError::Cancelled`].
+    pub fn new(
+        composer: &Composer<'_>,
+        cameras: &[Camera],
+        mut known: Vec<SceneFrame>,
+        context: &Context<'_>,
+    ) -> Result<Self, PipelineError> {
+        let (mut seen, mut bytes) = (Self::default(), 0);
+        for (i, camera) in cameras.iter().enumerate() {
+            context.check()?;
+            context.progress.update(&Status {
+                fraction: Some(i as f64 / cameras.len() as f64),
+                message: format!("what camera {} sees", camera.name),
+                remaining: None,
+            });
+            let frame = match known.iter().position(|f| f.camera() == camera) {
+                Some(k) => known.swap_remove(k),
+                None => composer.scene_frame(camera),
+            };
+            seen.cloud.add(camera, frame.receivers());
+            bytes += frame.memory_bytes();
+            seen.frames.push((bytes <= KEPT_BYTES).then_some(frame));
+        }
+        Ok(seen)
     }
-    Ok(cloud)
+
+    /// The frame of a camera, by its number, where it was kept; only once.
+    pub fn take(&mut self, camera: usize) -> Option<SceneFrame> {
+        self.frames.get_mut(camera).and_then(Option::take)
+    }
+
+    /// The same, to be used again.
+    pub fn frame(&self, camera: usize) -> Option<&SceneFrame> {
+        self.frames.get(camera).and_then(Option::as_ref)
+    }
+}
+
+/// Which parts of a frame are to be made anew.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Parts {
+    pub objects: bool,
+    pub shadow: bool,
+    /// The shadow cache, where it is not that of the quality.
+    pub cache: Option<CacheConfig>,
+}
+
+/// What of a frame is known from an earlier one of the same camera.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Known<'a> {
+    pub object: Option<&'a ObjectFrame>,
+    pub shadow: Option<&'a Image>,
 }
 
 impl<'a> Renderer<'a> {
@@ -148,8 +200,28 @@ impl<'a> Renderer<'a> {
         receivers: &ReceiverCloud,
         settings: &Settings,
     ) -> Result<Self, PipelineError> {
+        let all = Parts { objects: true, shadow: true, cache: None };
+        Self::for_parts(composition, ground, baked, own, receivers, settings, all)
+    }
+
+    /// [`Renderer::new`] for frames of which some parts are known: others must not be asked for.
+    ///
+    /// # Errors
+    /// [`PipelineError`].
+    pub fn for_parts(
+        composition: &'a Composition,
+        ground: &'a Ground<'a>,
+        baked: Option<&'a Baked>,
+        own: Option<&'a OwnLight>,
+        receivers: &ReceiverCloud,
+        settings: &Settings,
+        parts: Parts,
+    ) -> Result<Self, PipelineError> {
         let mut prepared = ground.prepared;
-        let shadow = if composition.wants_shadow() { settings.shadow } else { Shadow::None };
+        let shadow = match composition.wants_shadow() && parts.shadow {
+            true => settings.shadow,
+            false => Shadow::None,
+        };
         let start = Instant::now();
         let lighting = Lighting {
             cloud: ground.composer.objects(),
@@ -159,7 +231,11 @@ impl<'a> Renderer<'a> {
             baked,
             own,
         };
-        let relit = RelitObjects::new(composition, &lighting, &lit_map(composition), settings)?;
+        // Bounced light is the objects' own.
+        let relit = match parts.objects || (settings.bounce && shadow != Shadow::None) {
+            true => RelitObjects::new(composition, &lighting, &lit_map(composition), settings)?,
+            false => None,
+        };
         prepared.relight_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let exact: Option<Box<dyn ShadowRatios + 'a>> = match (shadow, baked) {
@@ -175,31 +251,57 @@ impl<'a> Renderer<'a> {
             (Shadow::Probes, _) => scene_probes(composition, ground, receivers)?,
             _ => None,
         };
-        let exact = match exact {
-            Some(all) if settings.near_only => Some(Box::new(NearOnly(all)) as Box<dyn ShadowRatios + 'a>),
-            other => other,
-        };
         let spent = start.elapsed().as_secs_f64();
         match shadow {
             Shadow::Probes => prepared.probes_s = spent,
             _ => prepared.bounce_s = spent,
         }
         let cache = exact.as_ref().map(|exact| {
-            let cache = ShadowCache::build(receivers, exact.as_ref(), &settings.cache());
+            let config = parts.cache.unwrap_or_else(|| settings.cache());
+            let cache = ShadowCache::build(receivers, exact.as_ref(), &config);
             prepared.cache_s = cache.statistics().seconds;
             cache
         });
-        Ok(Self { composer: &ground.composer, exact, cache, relit, prepared, shadow })
+        let near_only = settings.near_only;
+        Ok(Self { composer: &ground.composer, exact, cache, relit, prepared, shadow, near_only })
     }
 
     /// One frame.
     pub fn frame(&self, camera: &Camera) -> ComposedFrame {
-        let source = match (&self.cache, &self.exact) {
-            (Some(cache), Some(exact)) => ShadowSource::Cached(cache, exact.as_ref()),
+        let scene = self.composer.scene_frame(camera);
+        let mut frame = self.frame_over(&scene, Known::default());
+        frame.stats.raster_s += scene.seconds();
+        frame
+    }
+
+    /// One frame over a scene that was rendered before; parts that are known are taken as they are.
+    pub fn frame_over(&self, scene: &SceneFrame, known: Known<'_>) -> ComposedFrame {
+        let source = match (known.shadow, &self.cache, &self.exact) {
+            (Some(ratio), ..) => ShadowSource::Known(ratio),
+            (None, Some(cache), Some(exact)) => ShadowSource::Cached(cache, exact.as_ref()),
             _ => ShadowSource::Configured,
         };
-        let shader = self.relit.as_ref().map(|r| r as &dyn ObjectShader);
-        self.composer.frame_with(camera, source, shader)
+        let made;
+        let object = match known.object {
+            Some(object) => object,
+            None => {
+                made = self.objects(scene);
+                &made
+            }
+        };
+        let frame = self.composer.blend(scene, object, source);
+        if !self.near_only || known.shadow.is_some() {
+            return frame;
+        }
+        let spheres = self.exact.as_ref().map(|exact| exact.spheres()).unwrap_or_default();
+        let near = cut_off(&frame.shadow, scene, &spheres);
+        let stats = frame.stats;
+        ComposedFrame { stats, ..self.composer.blend(scene, object, ShadowSource::Known(&near)) }
+    }
+
+    /// The objects' part of a frame.
+    pub fn objects(&self, scene: &SceneFrame) -> ObjectFrame {
+        self.composer.object_frame(scene, self.relit.as_ref().map(|r| r as &dyn ObjectShader))
     }
 
     /// What the shadow cache took.
@@ -221,29 +323,16 @@ impl<'a> Renderer<'a> {
 /// Shadows beyond this many radii are far.
 const NEAR: f32 = 6.0;
 
-/// Ratios within a few radii of what casts them.
-struct NearOnly<'a>(Box<dyn ShadowRatios + 'a>);
-
-impl ShadowRatios for NearOnly<'_> {
-    fn ratios(&self, points: &[Vec3], normals: &[Vec3]) -> Vec<Vec3> {
-        let spheres = self.0.spheres();
-        let near = |p: &Vec3| spheres.iter().any(|(c, r)| (*p - *c).length() < NEAR * r);
-        let mut ratios = self.0.ratios(points, normals);
-        for (p, ratio) in points.iter().zip(&mut ratios) {
-            if !near(p) {
-                *ratio = Vec3::ONE;
-            }
+/// A shadow without what is beyond a few radii of what casts it.
+pub(crate) fn cut_off(ratio: &Image, scene: &SceneFrame, spheres: &[(Vec3, f32)]) -> Image {
+    let mut near = ratio.clone();
+    let is_near = |p: Vec3| spheres.iter().any(|(c, r)| (p - *c).length() < NEAR * r);
+    for (pixel, point) in near.data.chunks_exact_mut(3).zip(&scene.receivers().points) {
+        if !is_near(*point) {
+            pixel.fill(1.0);
         }
-        ratios
     }
-
-    fn spheres(&self) -> Vec<(Vec3, f32)> {
-        self.0.spheres()
-    }
-
-    fn strong(&self) -> Vec<comgs_compose::StrongFrom> {
-        self.0.strong()
-    }
+    near
 }
 
 /// Probes in the scene; `None` where no camera sees a receiver near the objects.
