@@ -12,12 +12,11 @@ mod judges;
 mod objects;
 mod places;
 mod synth;
+mod tradeoff;
 
 use clap::{Parser, Subcommand, ValueEnum};
 
-pub(crate) use editing::{
-    Animate, Editing, Plan, RelightObjects, ShadeBy, Shadow, ShadowFrom, Tradeoff, TradeoffWhat,
-};
+pub(crate) use editing::{Animate, Editing, Plan, RelightObjects, ShadeBy, Shadow, ShadowFrom};
 pub(crate) use frames::{Compose, Relight, Render, SelfShadow};
 pub(crate) use insert::{
     CameraArgument, FillArgument, GuidanceArgument, Insert, InsertEval, ObjUp, Plane, ResponseArgument,
@@ -28,6 +27,7 @@ pub(crate) use places::{
     Completion, Light, Model, ModelCommand, ModelWhat, Panorama, PanoramaWhat, Place, SphereProtocol,
 };
 pub(crate) use synth::{Demo, Info, Synth};
+pub(crate) use tradeoff::{Tradeoff, TradeoffWhat};
 
 const OVERVIEW: &str = "\
 The way from two captures to a picture:

@@ -4,6 +4,7 @@ mod editing;
 mod insert;
 mod insert_eval;
 mod light;
+mod tradeoff;
 
 use crate::args::{self, Cli, Command};
 use crate::output::{say, write};
@@ -83,7 +84,7 @@ pub(crate) fn run(cli: &Cli, cancel: CancelToken) -> anyhow::Result<ExitCode> {
         Command::Material(a) => run_material(a, &context)?,
         Command::Eval(a) => run_eval(a, &context)?,
         Command::Ablate(a) => run_ablate(a, &context)?,
-        Command::Tradeoff(a) => editing::run_tradeoff(a, &context)?,
+        Command::Tradeoff(a) => tradeoff::run(a, &context)?,
         Command::Synth(a) => run_synth(a, &context)?,
         Command::Demo(a) => run_demo(a, &context)?,
         Command::Export(a) => run_export(a, &context)?,

@@ -4,7 +4,7 @@ use crate::field_shadow::ShadowRatios;
 use crate::objects::{self, MergeError, PlacedObject};
 use crate::over::{self, Front, Ordering};
 use crate::placement::{SurfaceHit, Surfaces};
-use crate::receivers::Receivers;
+use crate::scene_frame::{ObjectFrame, SceneFrame, all_ratios, plane};
 use crate::shadow::{self, LightSource, Occluder, ShadowConfig};
 use crate::shadow_cache::ShadowCache;
 use comgs_geom::Camera;
@@ -71,6 +71,8 @@ pub enum ShadowSource<'a> {
     Exact(&'a dyn ShadowRatios),
     /// A cache, and what works out the pixels that it does not know.
     Cached(&'a ShadowCache, &'a dyn ShadowRatios),
+    /// The ratio of every pixel, 3 channels, as an earlier frame of the camera had it ([`ComposedFrame::shadow`]).
+    Known(&'a Image),
 }
 
 /// Something that gives an object's pixels another radiance than its surfels have.
@@ -233,11 +235,11 @@ impl<'a> Composer<'a> {
         &self.object
     }
 
-    /// What a camera sees of the scene, as points that receive shadows.
+    /// What a camera sees of the scene: for [`Composer::frame_over`] of this and any other composer of the same scene, tracer
+    /// and rasterisation.
     #[must_use]
-    pub fn receivers(&self, camera: &Camera) -> Receivers {
-        let scene = comgs_raster::render(self.scene, camera, Planes::GEOMETRY, &self.config.raster);
-        receivers(camera, &scene, MIN_WEIGHT)
+    pub fn scene_frame(&self, camera: &Camera) -> SceneFrame {
+        SceneFrame::new(self.scene, camera, &self.config.raster)
     }
 
     /// Composes one frame. Deterministic at any thread count.
@@ -255,8 +257,28 @@ impl<'a> Composer<'a> {
         shadow: ShadowSource<'_>,
         shader: Option<&dyn ObjectShader>,
     ) -> ComposedFrame {
+        let scene = self.scene_frame(camera);
+        let mut frame = self.frame_over(&scene, shadow, shader);
+        frame.stats.raster_s += scene.seconds();
+        frame
+    }
+
+    /// [`Composer::frame_with`] over a scene that was rendered before: the same pixels.
+    #[must_use]
+    pub fn frame_over(
+        &self,
+        scene: &SceneFrame,
+        shadow: ShadowSource<'_>,
+        shader: Option<&dyn ObjectShader>,
+    ) -> ComposedFrame {
+        self.blend(scene, &self.object_frame(scene, shader), shadow)
+    }
+
+    /// Renders and shades the objects, and finds what of the scene lies in front of them.
+    #[must_use]
+    pub fn object_frame(&self, scene: &SceneFrame, shader: Option<&dyn ObjectShader>) -> ObjectFrame {
+        let camera = &scene.camera;
         let start = std::time::Instant::now();
-        let scene = comgs_raster::render(self.scene, camera, Planes::GEOMETRY, &self.config.raster);
         let near = self.config.raster.near.min(0.01 * self.object_bounds.1).max(f32::MIN_POSITIVE);
         let object_raster = RasterConfig { near, ..self.config.raster };
         let planes = if shader.is_some() { Planes::ALL } else { Planes::GEOMETRY };
@@ -271,23 +293,31 @@ impl<'a> Composer<'a> {
         stats.relight_s = start.elapsed().as_secs_f64();
 
         let start = std::time::Instant::now();
-        let (fronts, rays) = self.fronts(camera, &scene, &object);
+        let (fronts, rays) = self.fronts(scene, &object);
         stats.order_rays = rays;
         stats.order_s = start.elapsed().as_secs_f64();
+        ObjectFrame { planes: object, fronts, stats }
+    }
 
+    /// Casts the shadow and blends: `beauty = object + scene · shadow`.
+    #[must_use]
+    pub fn blend(&self, scene: &SceneFrame, object: &ObjectFrame, shadow: ShadowSource<'_>) -> ComposedFrame {
+        let mut stats = object.stats;
         let start = std::time::Instant::now();
         let shadow = match shadow {
-            ShadowSource::Configured => self.shadow(camera, &scene, &mut stats),
-            ShadowSource::Exact(exact) => all_ratios(&receivers(camera, &scene, MIN_WEIGHT), exact),
+            ShadowSource::Configured => self.shadow(scene, &mut stats),
+            ShadowSource::Exact(exact) => all_ratios(scene.receivers(), exact),
             ShadowSource::Cached(cache, exact) => {
-                let read = cache.read(&receivers(camera, &scene, MIN_WEIGHT), exact);
+                let read = cache.read(scene.receivers(), exact);
                 stats.shadow_missed = read.missed;
                 read.ratio
             }
+            ShadowSource::Known(ratio) => ratio.clone(),
         };
         stats.shadow_s = start.elapsed().as_secs_f64();
 
-        let frame = assemble(camera, &scene, &object, &fronts, shadow, stats);
+        let camera = &scene.camera;
+        let frame = assemble(camera, &scene.planes, &object.planes, &object.fronts, shadow, stats);
         // Release builds do not look: a composed frame is finite when its parts are.
         #[cfg(debug_assertions)]
         if let Some(bad) = frame.first_non_finite() {
@@ -297,7 +327,8 @@ impl<'a> Composer<'a> {
     }
 
     /// The scene in front of the object, for every pixel.
-    fn fronts(&self, camera: &Camera, scene: &Frame, object: &Frame) -> (Vec<Front>, u64) {
+    fn fronts(&self, of: &SceneFrame, object: &Frame) -> (Vec<Front>, u64) {
+        let (camera, scene) = (&of.camera, &of.planes);
         let width = camera.width;
         let bias = self.config.contact_bias * self.object_bounds.1;
         let alpha_min = self.config.raster.alpha_min;
@@ -305,7 +336,7 @@ impl<'a> Composer<'a> {
         let object_depth = object.unbiased_depth(alpha_min);
         let scene_color = plane(&scene.color);
         // All rays leave the eye, so a surfel's colour is worked out once.
-        let view = self.scene_tracer.view(camera.centre().as_vec3());
+        let view = of.view(self.scene_tracer);
         let rows: Vec<(Vec<Front>, u64)> = (0..camera.height)
             .into_par_iter()
             .map(|y| {
@@ -343,40 +374,16 @@ impl<'a> Composer<'a> {
         (rows.into_iter().flat_map(|r| r.0).collect(), rays)
     }
 
-    fn shadow(&self, camera: &Camera, scene: &Frame, stats: &mut FrameStats) -> Image {
+    fn shadow(&self, scene: &SceneFrame, stats: &mut FrameStats) -> Image {
         let (Some(config), Some(tracer)) = (&self.config.shadow, &self.object_tracer) else {
-            return Image::filled(camera.width, camera.height, 3, 1.0);
+            return Image::filled(scene.camera.width, scene.camera.height, 3, 1.0);
         };
-        let receivers = receivers(camera, scene, config.min_weight);
+        let receivers = scene.receivers_above(config.min_weight);
         let occluder = TracedObject { tracer, bounds: self.object_bounds };
         let traced = shadow::trace_shadow(&receivers, self.light, &occluder, config);
         stats.shadow_rays = traced.rays_traced;
         crate::denoise::denoise(&traced, &receivers, &config.denoise)
     }
-}
-
-/// Scene weight under which a pixel has no surface to receive a shadow.
-const MIN_WEIGHT: f32 = 0.5;
-
-fn receivers(camera: &Camera, scene: &Frame, min_weight: f32) -> Receivers {
-    Receivers::from_planes(camera, &scene.unbiased_depth(min_weight), plane(&scene.normal))
-}
-
-/// The ratio of every pixel that shows a surface.
-fn all_ratios(receivers: &Receivers, exact: &dyn ShadowRatios) -> Image {
-    let mut ratio = Image::filled(receivers.width, receivers.height, 3, 1.0);
-    let pixels: Vec<usize> = (0..receivers.points.len()).filter(|&i| receivers.is_surface(i)).collect();
-    let points: Vec<Vec3> = pixels.iter().map(|&i| receivers.points[i]).collect();
-    let normals: Vec<Vec3> = pixels.iter().map(|&i| receivers.normals[i]).collect();
-    for (i, value) in pixels.iter().zip(exact.ratios(&points, &normals)) {
-        ratio.data[3 * i..3 * i + 3].copy_from_slice(&value.to_array());
-    }
-    ratio
-}
-
-/// A plane that was asked for.
-fn plane(plane: &Option<Image>) -> &Image {
-    plane.as_ref().expect("the rasteriser returns every plane it was asked for")
 }
 
 /// Blends all planes with the weights of scene and object.

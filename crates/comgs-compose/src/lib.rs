@@ -25,6 +25,7 @@ pub mod over;
 pub mod placement;
 pub mod receivers;
 pub mod relight;
+pub mod scene_frame;
 pub mod scene_probes;
 pub mod shadow;
 pub mod shadow_cache;
@@ -43,6 +44,7 @@ pub use relight::{
     CachedRelighter, Heuristic, Indirect, Mirror, NearField, RelightConfig, RelightError, Relighter,
     RelitFrame, SelfOcclusion, SelfVisibility, Standing,
 };
+pub use scene_frame::{ObjectFrame, SceneFrame};
 pub use scene_probes::{Density, SceneProbeConfig, SceneProbes};
 pub use shadow::{DARK, LightSample, LightSource, Occluder, ShadowConfig, shadow_ratio};
 pub use shadow_cache::{CacheConfig, CacheStatistics, ReceiverCloud, ShadowCache};

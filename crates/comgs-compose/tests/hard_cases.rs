@@ -4,7 +4,7 @@ mod common;
 
 use comgs_compose::{
     ComposeConfig, ComposeError, ComposedFrame, Composer, Denoise, LightSample, LightSource, Ordering,
-    PlacedObject, PlacementConfig, ShadowConfig, check_placement,
+    PlacedObject, PlacementConfig, ShadowConfig, ShadowSource, check_placement,
 };
 use comgs_geom::{Camera, Similarity, sampling::uniform_sphere};
 use comgs_image::Image;
@@ -341,6 +341,29 @@ fn the_same_object_twice() {
     assert!(both.shadow.data.iter().all(|v| (0.0..=1.0).contains(v)));
     let again = frame(&[a, b]);
     assert_eq!((again.beauty, again.shadow), (both.beauty, both.shadow));
+}
+
+/// Goal: a frame over a scene that was rendered before, by another composer whose object stood elsewhere, is the same bytes as
+/// one from scratch; so is a blend of an object's frame with the shadow that an earlier frame had.
+#[test]
+fn a_scene_seen_before_gives_the_same_frame() {
+    let (scene, object) = (floor(), ball([0.8, 0.2, 0.2]));
+    let camera = camera(96, 72);
+    let tracer = Tracer::new(&scene, &TraceConfig::default()).unwrap();
+    let composer = |x: f64| {
+        let placed = [PlacedObject { cloud: &object, world_from_object: at(x, 0.1, 0.5, 1.0) }];
+        Composer::new(&scene, &tracer, &placed, &Sky, few_rays()).unwrap()
+    };
+    let seen = composer(-0.6).scene_frame(&camera);
+    // Asked for here, read below.
+    let _ = composer(-0.6).frame_over(&seen, ShadowSource::Configured, None);
+    let there = composer(0.4);
+    let (again, fresh) = (there.frame_over(&seen, ShadowSource::Configured, None), there.frame(&camera));
+    assert!(fresh.stats.visible_px > 50.0 && fresh.shadow.data.iter().any(|v| *v < 0.9));
+    let planes = |f: &ComposedFrame| [&f.beauty, &f.shadow, &f.object, &f.scene, &f.depth].map(Image::clone);
+    assert_eq!(planes(&again), planes(&fresh));
+    let known = there.blend(&seen, &there.object_frame(&seen, None), ShadowSource::Known(&fresh.shadow));
+    assert_eq!(planes(&known), planes(&fresh));
 }
 
 /// What the two suns of the next test leave of the floor's light at a point, by a sphere on paper; `None` in penumbras and

@@ -25,6 +25,8 @@ pub mod render;
 pub mod render_composition;
 pub mod shadow;
 pub mod synth;
+pub mod tradeoff_reconstruct;
+pub mod tradeoff_relight;
 pub mod tradeoff_shadow;
 
 pub(crate) mod frames;

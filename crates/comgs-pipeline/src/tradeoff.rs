@@ -15,6 +15,8 @@ use std::path::{Path, PathBuf};
 
 pub use crate::plot::Better;
 
+pub(crate) mod drive;
+
 /// Something measured of every run.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Metric {

@@ -191,7 +191,7 @@ fn hard_cases_26_30_33_bad_input_is_named() {
     let composition = write(root, &[standing], false, &sky);
     let text = std::fs::read_to_string(&composition).unwrap();
     std::fs::write(&composition, text.replace("\"scale\": 0.6", "\"scale\": -0.6")).unwrap();
-    let input = plan::Input { composition, cameras: None, photos: None };
+    let input = plan::Input { composition, cameras: None, photos: None, cache: None };
     let error = plan::run(&input, &draft(), &plan::Limits::default(), &Context::silent()).unwrap_err();
     assert!(
         matches!(error, PipelineError::Scene(_)) && error.to_string().contains("similarity.scale"),
@@ -238,39 +238,61 @@ fn objects_move_along_a_path() {
     assert!(refuse(&input(poses)).contains("cat, dog"));
 }
 
-/// Goal: the plan's estimates hold within a factor of two of what the effects change at full size, on a ball with material
-/// under a sun and under an overcast sky; what is below the tolerance is left out, what is above is in; a
-/// budget that cannot be met gives the cheapest plan and says so.
+/// A sky with a sun 8° above the horizon, on the side where the room has no wall.
+fn evening() -> Image {
+    let mut image = Image::filled(64, 32, 3, 0.3);
+    image.pixel_mut(52, 14).copy_from_slice(&[400.0, 360.0, 300.0]);
+    image
+}
+
+/// Goal: the plan's estimates hold within a factor of two of what the effects change at full size, all six of them, on a ball
+/// with material under a sun, a low sun, whose shadow is long, and an overcast sky; what is below the tolerance is left out,
+/// what is above is in; a budget that cannot be met gives the cheapest plan and says so.
 #[test]
 fn estimates_hold_within_a_factor_of_two() {
     let root = tempfile::tempdir().unwrap();
     let root = root.path();
-    for (light, name) in [(sunny(), "sun"), (Image::filled(16, 8, 3, 0.5), "overcast")] {
+    let mut compared = std::collections::BTreeSet::new();
+    for (light, name) in
+        [(sunny(), "sun"), (evening(), "evening"), (Image::filled(16, 8, 3, 0.5), "overcast")]
+    {
         let composition = write(root, &[similarity(0.0, 0.0, 0.3)], true, &light);
-        let input = plan::Input { composition: composition.clone(), cameras: None, photos: None };
+        let input =
+            plan::Input { composition: composition.clone(), cameras: None, photos: None, cache: None };
         let made = plan::run(&input, &draft(), &plan::Limits::default(), &Context::silent()).unwrap();
         let line = |effect: &str| made.lines.iter().find(|l| l.effect == effect).unwrap();
-        let off = Settings { relight: Relight::Off, shadow: Shadow::None, self_occlusion: false, ..draft() };
-        let frames = |settings: Settings, folder: &str| -> Vec<Image> {
-            render(root, &composition, &format!("{name}_{folder}"), settings);
-            ["00000", "00001", "00002"].map(|c| picture(root, &format!("{name}_{folder}"), c)).to_vec()
+        let mut settings =
+            Settings { relight: Relight::Off, shadow: Shadow::None, self_occlusion: false, ..draft() };
+        let frames = |settings: &Settings, folder: &str| -> Vec<Image> {
+            let folder = format!("{name}_{folder}");
+            render(root, &composition, &folder, settings.clone());
+            ["00000", "00001", "00002"].map(|c| picture(root, &folder, c)).to_vec()
         };
-        let none = frames(off.clone(), "none");
-        let relit = frames(Settings { relight: Relight::Auto, ..off.clone() }, "relit");
-        let hidden =
-            frames(Settings { relight: Relight::Auto, self_occlusion: true, ..off.clone() }, "hidden");
-        let shaded = frames(Settings { shadow: Shadow::Auto, ..draft() }, "shaded");
-        for (effect, before, after) in [
-            ("scene light on the object", &none, &relit),
-            ("self-occlusion", &relit, &hidden),
-            ("cast shadow, near", &hidden, &shaded),
-        ] {
-            let outcome = plan::change(before, after);
-            let estimate = line(effect).change.unwrap();
+        let mut before = frames(&settings, "none");
+        let steps: [(&str, fn(&mut Settings)); 7] = [
+            ("scene light on the object", |s| s.relight = Relight::Auto),
+            ("self-occlusion", |s| s.self_occlusion = true),
+            ("cast shadow, near", |s| (s.shadow, s.near_only) = (Shadow::Auto, true)),
+            ("cast shadow, far", |s| s.near_only = false),
+            ("near-field light", |s| s.near_field = true),
+            ("bounce on the scene", |s| s.bounce = true),
+            ("indirect on the object", |s| s.indirect = true),
+        ];
+        for (effect, turn_on) in steps {
+            turn_on(&mut settings);
+            let after = frames(&settings, &effect.replace([' ', ','], "_"));
+            let outcome = plan::change(&before, &after);
+            before = after;
+            let Some(estimate) = line(effect).change else {
+                // Not tried, for what it builds on is not seen.
+                assert!(line(effect).reason.contains("not tried"), "{effect}");
+                continue;
+            };
             assert_eq!(line(effect).on, estimate.mean >= plan::TOLERANCE, "{effect}");
             if outcome.mean >= plan::TOLERANCE || estimate.mean >= plan::TOLERANCE {
                 let ratio = estimate.mean / outcome.mean;
                 assert!((0.5..2.0).contains(&ratio), "{name}, {effect}: {estimate:?} {outcome:?}");
+                compared.insert(effect);
             }
         }
         assert!(line("cast shadow, near").on && made.settings.shadow == Shadow::Auto);
@@ -279,6 +301,50 @@ fn estimates_hold_within_a_factor_of_two() {
         let cheapest = plan::run(&input, &draft(), &tight, &Context::silent()).unwrap();
         assert!(cheapest.lines.iter().all(|l| !l.on));
         assert!(cheapest.shortfall.unwrap().contains("cannot be met"));
+    }
+    assert!(
+        compared.contains("cast shadow, far") && compared.contains("bounce on the scene"),
+        "{compared:?}"
+    );
+    eprintln!("compared: {compared:?}");
+}
+
+/// Goal: a budget picks the finest quality whose estimate fits and names all estimates, a quality that is asked for stays; what a
+/// plan has made gives a run the same frames as a run of its own.
+#[test]
+fn a_budget_picks_a_quality_and_a_run_takes_over() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    let composition = write(root, &[similarity(0.0, 0.0, 0.3)], true, &sunny());
+    let input = plan::Input { composition: composition.clone(), cameras: None, photos: None, cache: None };
+    let limits = |budget_s, any_quality| plan::Limits { budget_s, any_quality, ..plan::Limits::default() };
+    let settings = Settings::default();
+    let of = |limits: plan::Limits| plan::run_for(&input, &settings, &limits, &Context::silent()).unwrap();
+    let (ample, made) = of(limits(Some(3600.0), true));
+    let estimates: Vec<f64> = ample.qualities.iter().map(|q| q.1).collect();
+    assert!(estimates.len() == 3 && estimates.is_sorted(), "{estimates:?}");
+    assert_eq!(ample.settings.quality, Quality::Reference);
+    assert_eq!(of(limits(Some(3600.0), false)).0.settings.quality, Quality::Balanced);
+    let (tight, _) = of(limits(Some(1e-6), true));
+    assert!(
+        tight.settings.quality == Quality::Draft && tight.to_text().contains("quality draft, the finest")
+    );
+    let render = |name: &str, made| {
+        let input = render_composition::Input {
+            composition: composition.clone(),
+            cameras: None,
+            photos: None,
+            cache: None,
+            output: root.join(name),
+        };
+        let settings = Settings { quality: Quality::Draft, ..ample.settings.clone() };
+        let config = render_composition::Config { settings, ..Default::default() };
+        render_composition::run_planned(&input, &config, made, &Context::silent()).unwrap()
+    };
+    render("after", Some(made));
+    render("alone", None);
+    for camera in ["00000", "00001", "00002"] {
+        assert_eq!(picture(root, "after", camera), picture(root, "alone", camera));
     }
 }
 
@@ -290,7 +356,7 @@ fn what_nobody_sees_is_not_tried() {
     let root = root.path();
     let plan_of = |composition: PathBuf| {
         plan::run(
-            &plan::Input { composition, cameras: None, photos: None },
+            &plan::Input { composition, cameras: None, photos: None, cache: None },
             &draft(),
             &plan::Limits::default(),
             &Context::silent(),
@@ -326,6 +392,7 @@ fn frames_take_the_noise_of_photos() {
             composition: composition.clone(),
             cameras: None,
             photos: photos.map(Path::to_owned),
+            cache: None,
         };
         plan::run(&input, &draft(), &plan::Limits::default(), &Context::silent()).unwrap()
     };

@@ -31,4 +31,4 @@ pub use config::{TraceConfig, TraceError};
 pub use disc::LeftOut;
 pub use mesh::{MeshHit, MeshTracer};
 pub use tracer::{Hit, RadianceHit, Ray, Tracer};
-pub use view::TracerView;
+pub use view::{EyeColours, TracerView};

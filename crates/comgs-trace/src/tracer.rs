@@ -1,7 +1,7 @@
 //! The tracer and its rays.
 
 use crate::{
-    TraceConfig, TraceError, TracerView,
+    EyeColours, TraceConfig, TraceError, TracerView,
     bvh::{Bvh, WIDTH},
     disc::{self, LeftOut},
     kernel::Limits,
@@ -12,7 +12,7 @@ use comgs_surfel::SurfelCloud;
 use fearless_simd::{Level, Simd, dispatch};
 use glam::Vec3;
 use rayon::prelude::*;
-use std::cell::RefCell;
+use std::{borrow::Cow, cell::RefCell};
 
 /// Most surfels a tracer holds: lanes are addressed with 31 bits, and blocks are on average more than a quarter full.
 const MAX_SURFELS: usize = 1 << 28;
@@ -260,7 +260,19 @@ impl Tracer {
     /// The tracer with the eye fixed: the surfels' colours towards it are worked out once.
     #[must_use]
     pub fn view(&self, origin: Vec3) -> TracerView<'_> {
-        TracerView::new(self, origin)
+        TracerView::new(self, Cow::Owned(self.eye_colours(origin)))
+    }
+
+    /// What [`Tracer::view`] works out first, to be kept and handed to [`Tracer::view_with`].
+    #[must_use]
+    pub fn eye_colours(&self, origin: Vec3) -> EyeColours {
+        EyeColours::new(self, origin)
+    }
+
+    /// The tracer seen from an eye whose colours are known: those of this tracer, or of one of the same cloud.
+    #[must_use]
+    pub fn view_with<'a>(&'a self, eye: &'a EyeColours) -> TracerView<'a> {
+        TracerView::new(self, Cow::Borrowed(eye))
     }
 
     /// Every surfel on a ray between `t_min` and `t_max`, sorted by distance and then by index, without any early

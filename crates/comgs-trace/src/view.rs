@@ -3,18 +3,19 @@
 use crate::{RadianceHit, Ray, Tracer, bvh::WIDTH};
 use glam::Vec3;
 use rayon::prelude::*;
+use std::borrow::Cow;
 
-/// A [`Tracer`] for rays that all leave one point. A surfel's colour depends on the eye alone, so it is worked out
-/// once a surfel instead of once a hit. Made by [`Tracer::view`].
-pub struct TracerView<'a> {
-    tracer: &'a Tracer,
+/// Colours of a tracer's surfels as one eye sees them. They outlive the view, so that who looks from the same point again
+/// need not work them out again. Made by [`Tracer::eye_colours`].
+#[derive(Clone, Debug)]
+pub struct EyeColours {
     origin: Vec3,
     /// By surfel of the cloud; black for surfels that are not traced.
     colours: Vec<Vec3>,
 }
 
-impl<'a> TracerView<'a> {
-    pub(crate) fn new(tracer: &'a Tracer, origin: Vec3) -> Self {
+impl EyeColours {
+    pub(crate) fn new(tracer: &Tracer, origin: Vec3) -> Self {
         let bvh = &tracer.bvh;
         let by_slot: Vec<Vec3> = bvh
             .surfels
@@ -36,20 +37,33 @@ impl<'a> TracerView<'a> {
                 colours[surfel as usize] = colour;
             }
         }
-        Self { tracer, origin, colours }
+        Self { origin, colours }
+    }
+}
+
+/// A [`Tracer`] for rays that all leave one point. A surfel's colour depends on the eye alone, so it is worked out
+/// once a surfel instead of once a hit. Made by [`Tracer::view`] and [`Tracer::view_with`].
+pub struct TracerView<'a> {
+    tracer: &'a Tracer,
+    eye: Cow<'a, EyeColours>,
+}
+
+impl<'a> TracerView<'a> {
+    pub(crate) fn new(tracer: &'a Tracer, eye: Cow<'a, EyeColours>) -> Self {
+        Self { tracer, eye }
     }
 
     /// The eye.
     #[must_use]
     pub fn origin(&self) -> Vec3 {
-        self.origin
+        self.eye.origin
     }
 
     /// As [`Tracer::radiance`] from the eye. Where the eye is exactly a surfel's centre, that surfel shows the colour
     /// it has along +z.
     #[must_use]
     pub fn radiance(&self, direction: Vec3, t_min: f32, t_max: f32) -> RadianceHit {
-        let ray = Ray { origin: self.origin, direction, t_min, t_max };
-        self.tracer.blend(&ray, |surfel, _| self.colours[surfel as usize])
+        let ray = Ray { origin: self.eye.origin, direction, t_min, t_max };
+        self.tracer.blend(&ray, |surfel, _| self.eye.colours[surfel as usize])
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Quality, Switch};
 use crate::values::{duration, positive};
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
 /// Where shadows on the scene come from.
@@ -73,9 +73,9 @@ pub(crate) struct Editing {
     #[arg(long, value_name = "DIR")]
     pub photos: Option<PathBuf>,
 
-    /// Point on the curve of time against error
-    #[arg(long, value_enum, default_value = "balanced")]
-    pub quality: Quality,
+    /// Point on the curve of time against error [default: balanced; with a budget, the finest that fits]
+    #[arg(long, value_enum)]
+    pub quality: Option<Quality>,
 
     /// Same seed, same bytes
     #[arg(long, default_value_t = 0)]
@@ -152,11 +152,19 @@ pub(crate) struct Plan {
     #[arg(long, value_name = "FILE")]
     pub composition: PathBuf,
 
+    /// Cameras instead of the composition's
+    #[arg(long)]
+    pub cameras: Option<PathBuf>,
+
+    /// Folder of occlusion fields made by `comgs shadow`: what lies there costs nothing
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+
     /// Least change of the picture that calls for an effect: mean over the pixels it touches, 1 is white
     #[arg(long, value_name = "T", default_value = "0.004", allow_negative_numbers = true, value_parser = positive)]
     pub tolerance: f64,
 
-    /// Time for all frames (10s)
+    /// Time for reading, preparation and all frames (10s)
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub budget: Option<f64>,
 
@@ -164,71 +172,11 @@ pub(crate) struct Plan {
     #[arg(long, value_name = "DIR")]
     pub photos: Option<PathBuf>,
 
-    /// Point on the curve of time against error
-    #[arg(long, value_enum, default_value = "balanced")]
-    pub quality: Quality,
+    /// Point on the curve of time against error [default: balanced; with a budget, the finest that fits]
+    #[arg(long, value_enum)]
+    pub quality: Option<Quality>,
 
     /// Same seed, same bytes
-    #[arg(long, default_value_t = 0)]
-    pub seed: u64,
-}
-
-/// Measure time against error, knob by knob
-#[derive(Debug, Args)]
-#[command(after_help = "\
-Examples:
-  comgs tradeoff shadow --composition out/composition.json -o docs/tradeoff
-  comgs tradeoff shadow --help")]
-pub(crate) struct Tradeoff {
-    #[command(subcommand)]
-    pub what: TradeoffWhat,
-}
-
-/// What is swept.
-#[derive(Debug, Subcommand)]
-pub(crate) enum TradeoffWhat {
-    Shadow(TradeoffShadow),
-}
-
-/// Every way to a shadow, one knob at a time
-///
-/// Writes shadow.csv, shadow.md, shadow.svg and shadow.png: seconds of a frame and of its preparation, error against
-/// converged rays and, with --against, against ground truth.
-#[derive(Debug, Args)]
-#[command(after_help = "\
-Examples:
-  comgs tradeoff shadow --composition out/composition.json -o docs/tradeoff
-  comgs tradeoff shadow --composition out/composition.json --against composition/room_with_cow --knobs way,cache -o out")]
-pub(crate) struct TradeoffShadow {
-    /// composition.json, as `comgs compose` writes it
-    #[arg(long, value_name = "FILE")]
-    pub composition: PathBuf,
-
-    /// Composition with ground truth
-    #[arg(long, value_name = "DIR")]
-    pub against: Option<PathBuf>,
-
-    /// Output folder
-    #[arg(short, long, value_name = "DIR")]
-    pub output: PathBuf,
-
-    /// Knobs to turn; all when absent: way, quality, field, directions, split, cache, probes, neighbours
-    #[arg(long, value_name = "KNOB,…", value_delimiter = ',')]
-    pub knobs: Vec<String>,
-
-    /// Cameras, at most
-    #[arg(long, value_name = "N", default_value_t = 2)]
-    pub views: usize,
-
-    /// Rays a pixel of the reference
-    #[arg(long, value_name = "N", default_value_t = 1024)]
-    pub reference_rays: u32,
-
-    /// Frames of which the fastest counts
-    #[arg(long, value_name = "N", default_value_t = 3)]
-    pub repeats: usize,
-
-    /// Seed
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
 }

@@ -48,7 +48,7 @@ pub(crate) struct Render {
     #[arg(long, value_name = "T", requires = "composition", allow_negative_numbers = true, value_parser = positive)]
     pub tolerance: Option<f64>,
 
-    /// Simulate what pays most within this time (20s)
+    /// Simulate what pays most within this time (20s), at the finest quality that fits unless --quality says one
     #[arg(long, value_name = "TIME", requires = "composition", value_parser = duration)]
     pub budget: Option<f64>,
 }

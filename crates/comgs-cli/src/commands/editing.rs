@@ -4,13 +4,13 @@ use crate::args;
 use crate::output::{say, write};
 use comgs_pipeline::Context;
 use comgs_pipeline::stages::editing::{Relight, Settings, Shading, Shadow};
-use comgs_pipeline::stages::{animate, plan, render, render_composition, shadow, tradeoff_shadow};
+use comgs_pipeline::stages::{animate, plan, render, render_composition, shadow};
 
 /// The stages' settings.
 fn settings(a: &args::Editing) -> Settings {
     let on = |s: args::Switch| s == args::Switch::On;
     Settings {
-        quality: a.quality.into(),
+        quality: a.quality.unwrap_or(args::Quality::Balanced).into(),
         shadow: match a.shadow {
             args::ShadowFrom::Auto => Shadow::Auto,
             args::ShadowFrom::Probes => Shadow::Probes,
@@ -47,15 +47,23 @@ pub(super) fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Res
     }
     let Some(composition) = &a.composition else { return Ok(()) };
     let mut chosen = settings(&a.editing);
-    let mut planned = None;
+    let (mut planned, mut ready) = (None, None);
     if a.tolerance.is_some() || a.budget.is_some() {
-        let photos = a.editing.photos.clone();
-        let input = plan::Input { composition: composition.clone(), cameras: a.cameras.clone(), photos };
-        let limits = plan::Limits { tolerance: a.tolerance.unwrap_or(plan::TOLERANCE), budget_s: a.budget };
-        let made = plan::run(&input, &chosen, &limits, context)?;
+        let input = plan::Input {
+            composition: composition.clone(),
+            cameras: a.cameras.clone(),
+            cache: a.cache.clone(),
+            photos: a.editing.photos.clone(),
+        };
+        let limits = plan::Limits {
+            tolerance: a.tolerance.unwrap_or(plan::TOLERANCE),
+            budget_s: a.budget,
+            any_quality: a.editing.quality.is_none(),
+        };
+        let (made, rest) = plan::run_for(&input, &chosen, &limits, context)?;
         write(format_args!("{}", made.to_text()));
         chosen = made.settings.clone();
-        planned = Some(made);
+        (planned, ready) = (Some(made), Some(rest));
     }
     let input = render_composition::Input {
         composition: composition.clone(),
@@ -65,7 +73,7 @@ pub(super) fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Res
         output: a.output.clone(),
     };
     let config = render_composition::Config { settings: chosen, layers: a.layers, plan: planned };
-    let made = render_composition::run(&input, &config, context)?;
+    let made = render_composition::run_planned(&input, &config, ready, context)?;
     say!("{:.0} ms a frame", 1e3 * made.frame_s);
     say!("{}", made.frames.display());
     Ok(())
@@ -81,9 +89,16 @@ pub(super) fn run_shadow(a: &args::Shadow, context: &Context<'_>) -> anyhow::Res
 }
 
 pub(super) fn run_plan(a: &args::Plan, context: &Context<'_>) -> anyhow::Result<()> {
-    let input = plan::Input { composition: a.composition.clone(), cameras: None, photos: a.photos.clone() };
-    let settings = Settings { quality: a.quality.into(), seed: a.seed, ..Settings::default() };
-    let limits = plan::Limits { tolerance: a.tolerance, budget_s: a.budget };
+    let input = plan::Input {
+        composition: a.composition.clone(),
+        cameras: a.cameras.clone(),
+        cache: a.cache.clone(),
+        photos: a.photos.clone(),
+    };
+    let quality = a.quality.unwrap_or(args::Quality::Balanced).into();
+    let settings = Settings { quality, seed: a.seed, ..Settings::default() };
+    let any_quality = a.quality.is_none();
+    let limits = plan::Limits { tolerance: a.tolerance, budget_s: a.budget, any_quality };
     write(format_args!("{}", plan::run(&input, &settings, &limits, context)?.to_text()));
     Ok(())
 }
@@ -100,25 +115,5 @@ pub(super) fn run_animate(a: &args::Animate, context: &Context<'_>) -> anyhow::R
     let made = animate::run(&input, &animate::Config { settings: settings(&a.editing) }, context)?;
     say!("{:.0} ms an edit", 1e3 * made.edit_s);
     say!("{}", made.preview.display());
-    Ok(())
-}
-
-pub(super) fn run_tradeoff(a: &args::Tradeoff, context: &Context<'_>) -> anyhow::Result<()> {
-    let args::TradeoffWhat::Shadow(a) = &a.what;
-    let words: Vec<String> = std::env::args().skip(1).collect();
-    let input = tradeoff_shadow::Input {
-        composition: a.composition.clone(),
-        truth: a.against.clone(),
-        output: a.output.clone(),
-        command: format!("comgs {}", words.join(" ")),
-    };
-    let config = tradeoff_shadow::Config {
-        knobs: a.knobs.clone(),
-        views: a.views,
-        reference_rays: a.reference_rays,
-        repeats: a.repeats,
-        seed: a.seed,
-    };
-    say!("{}", tradeoff_shadow::run(&input, &config, context)?.to_markdown()?);
     Ok(())
 }

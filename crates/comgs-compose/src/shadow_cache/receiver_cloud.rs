@@ -5,6 +5,7 @@ use crate::receivers::Receivers;
 use comgs_geom::Camera;
 use glam::Vec3;
 use std::collections::HashSet;
+use std::hash::{BuildHasherDefault, Hasher};
 
 /// Points of a scene that a set of cameras sees, thinned to what the cameras resolve. It belongs to the scene and the
 /// cameras: objects may move under it.
@@ -16,7 +17,31 @@ pub struct ReceiverCloud {
     pub normals: Vec<Vec3>,
     /// Side of a pixel of the camera that saw it, at its distance; world units.
     pub footprints: Vec<f32>,
-    seen: HashSet<[i32; 5]>,
+    seen: HashSet<[i32; 5], BuildHasherDefault<Fold>>,
+}
+
+/// A hash of few steps for the cubes' numbers: every pixel of every camera is looked up, nobody chooses the numbers.
+#[derive(Clone, Copy, Debug, Default)]
+struct Fold(u64);
+
+impl Hasher for Fold {
+    fn write(&mut self, bytes: &[u8]) {
+        for chunk in bytes.chunks(8) {
+            let mut word = [0; 8];
+            word[..chunk.len()].copy_from_slice(chunk);
+            self.write_u64(u64::from_le_bytes(word));
+        }
+    }
+
+    fn write_u64(&mut self, word: u64) {
+        // Fibonacci hashing (Knuth, TAOCP 3, § 6.4), folded so that high bits reach low ones.
+        self.0 = (self.0 ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.0 ^= self.0 >> 29;
+    }
+
+    fn finish(&self) -> u64 {
+        self.0
+    }
 }
 
 impl ReceiverCloud {

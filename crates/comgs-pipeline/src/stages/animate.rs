@@ -2,7 +2,7 @@
 
 use crate::stages::editing::{Composition, OwnLight, Settings, Shadow, bake};
 use crate::stages::frames::write_gif;
-use crate::stages::render_composition::{Ground, Renderer, receivers};
+use crate::stages::render_composition::{Ground, Known, Renderer, Seen};
 use crate::{Context, PipelineError, Run, RunRecord, Status};
 use comgs_geom::Similarity;
 use comgs_image::{Image, write_png};
@@ -117,22 +117,21 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         let mut spent = start.elapsed().as_secs_f64();
         // What one camera sees stays through the whole path.
         if cameras.len() > 1 || seen.is_none() {
-            seen = Some(receivers(&ground.composer, std::slice::from_ref(camera), context)?);
+            let all = Seen::new(&ground.composer, std::slice::from_ref(camera), Vec::new(), context)?;
+            seen = Some(all);
         }
+        let Some(seen) = &seen else { continue };
         let start = Instant::now();
-        let mut renderer = Renderer::new(
-            &composition,
-            &ground,
-            baked.as_ref(),
-            own.as_ref(),
-            seen.as_ref().unwrap_or(&Default::default()),
-            settings,
-        )?;
+        let mut renderer =
+            Renderer::new(&composition, &ground, baked.as_ref(), own.as_ref(), &seen.cloud, settings)?;
         renderer.step = i as u64;
         spent += start.elapsed().as_secs_f64();
         edit_s += spent;
         let start = Instant::now();
-        let frame = renderer.frame(camera);
+        let frame = match seen.frame(0) {
+            Some(scene) => renderer.frame_over(scene, Known::default()),
+            None => renderer.frame(camera),
+        };
         frame_s += start.elapsed().as_secs_f64();
         let path = input.output.join("frames").join(format!("{i:05}.png"));
         write_png(&path, &frame.beauty)?;

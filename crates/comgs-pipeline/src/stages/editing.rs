@@ -6,8 +6,8 @@ mod photos;
 mod relit;
 mod settings;
 
-pub(crate) use casters::{Baked, bake};
-pub(crate) use own_light::OwnLight;
+pub(crate) use casters::{Baked, bake, bake_at, is_baked};
+pub(crate) use own_light::{OwnLight, is_cached, shading_config};
 pub(crate) use relit::{Lighting, RelitObjects, lit_map};
 pub use settings::{Relight, Settings, Shading, Shadow};
 
@@ -22,6 +22,7 @@ use comgs_scene::{Asset, AssetKind, CompositionRecord, LampRecord, ShadowPolicy}
 use comgs_trace::Tracer;
 use glam::{DVec3, Vec3};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// An object in its place.
 pub(crate) struct Placed {
@@ -33,7 +34,8 @@ pub(crate) struct Placed {
 /// Everything that `composition.json` names, read.
 pub(crate) struct Composition {
     pub record: CompositionRecord,
-    pub scene: Asset,
+    /// Shared with stand-ins that differ in objects and cameras.
+    pub scene: Arc<Asset>,
     pub scene_path: PathBuf,
     pub objects: Vec<Placed>,
     pub cameras: Vec<Camera>,
@@ -68,7 +70,7 @@ impl Composition {
         let light_path = named(light);
         let map = read_light(&light_path, warn)?;
         let scene_path = named(&record.scene);
-        let scene = source::load_surfels(&scene_path, AssetKind::Scene)?;
+        let scene = Arc::new(source::load_surfels(&scene_path, AssetKind::Scene)?);
         let mut objects: Vec<Placed> = Vec::new();
         for object in &record.objects {
             let world_from_object = object.similarity.similarity().map_err(|(field, reason)| {

@@ -1,26 +1,35 @@
 //! `plan`: which effects a composition calls for, why, and at what cost.
 //!
-//! Effects are tried on small frames, one after the other in the order in which they build on one another
-//! (`effects::EFFECTS`): the difference of two neighbouring pilots is what an effect changes, as a viewer sees it, and the
-//! difference of their times what it costs, scaled to the frames. An effect runs when its change reaches the tolerance, when what
-//! it builds on runs, and, under a budget, when it is among those that change most a second.
+//! Effects are tried on small frames of a stand-in with few surfels, one after the other in the order in which they build on one
+//! another (`effects::EFFECTS`): the difference of two neighbouring pilots is what an effect changes, as a viewer sees it. What
+//! the pilots took, scaled to the frames (`cost`), is what it costs. An effect runs when its change reaches the tolerance,
+//! when what it builds on runs, and, under a budget, when it is among those that change most a second. A budget also picks the
+//! quality, where none is asked for: the finest at which all that is called for fits.
 //!
 //! What is not modelled is looked at too (`unmodelled`) and listed with its estimate, so that nobody takes silence for
 //! absence.
 
+mod choose;
+mod cost;
 pub(crate) mod effects;
 mod measure;
 mod pilot;
+mod stand_in;
 mod unmodelled;
 
 pub use measure::{Change, change};
 
-use crate::stages::editing::{Baked, Composition, Settings, Shadow, bake};
+use crate::stages::editing::{Baked, Composition, Settings, Shadow, bake_at};
+use crate::stages::render_composition::{Ground, Known, Parts, Renderer};
 use crate::{Context, PipelineError};
+use comgs_compose::{FieldConfig, ReceiverCloud, SceneFrame};
+use comgs_inverse::Quality;
 use comgs_light::EnvironmentSampler;
 use comgs_trace::{TraceConfig, Tracer};
-use effects::{EFFECTS, Effect};
+use cost::{Cost, QUALITIES, Work};
+use effects::EFFECTS;
 use serde::Serialize;
+use std::cell::OnceCell;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -36,6 +45,8 @@ pub struct Input {
     pub cameras: Option<PathBuf>,
     /// Photos of the scene whose defocus and noise frames are to have.
     pub photos: Option<PathBuf>,
+    /// Folder of occlusion fields: what lies there costs a run nothing.
+    pub cache: Option<PathBuf>,
 }
 
 /// What an effect must be worth.
@@ -45,11 +56,13 @@ pub struct Limits {
     pub tolerance: f64,
     /// Seconds for preparation and all frames.
     pub budget_s: Option<f64>,
+    /// Whether the budget picks the quality; else that of the settings stays.
+    pub any_quality: bool,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { tolerance: TOLERANCE, budget_s: None }
+        Self { tolerance: TOLERANCE, budget_s: None, any_quality: false }
     }
 }
 
@@ -75,8 +88,12 @@ pub struct Plan {
     pub lines: Vec<Line>,
     /// Estimated seconds of everything that runs, with what always runs.
     pub seconds: f64,
-    /// Seconds that making the plan took.
+    /// Estimated seconds of all that is called for, budget aside, at every quality.
+    pub qualities: Vec<(Quality, f64)>,
+    /// Seconds that making the plan took; of them `read_s` for what a run reads and builds too, and is handed.
     pub plan_s: f64,
+    /// See `plan_s`.
+    pub read_s: f64,
     /// What was asked.
     pub limits: Limits,
     /// What to render with.
@@ -84,6 +101,20 @@ pub struct Plan {
     /// What cannot be met, in words.
     pub shortfall: Option<String>,
 }
+
+/// What a plan has made that a run needs as well.
+pub struct Made {
+    pub(crate) composition: Composition,
+    pub(crate) scene_tracer: Tracer,
+    /// Of the full size.
+    pub(crate) scenes: Vec<SceneFrame>,
+    /// Seconds of reading, and of the scene's trees.
+    pub(crate) read_s: (f64, f64),
+    pub(crate) warnings: Vec<String>,
+}
+
+/// Field of a pilot's casters: the outline of an occluder decides about a pilot of a hundred pixels at this resolution too.
+const FIELD: FieldConfig = FieldConfig { directions: 8, resolution: 32 };
 
 /// Makes a plan. `settings` gives quality, seed and the way shadows are made; its effects are chosen anew.
 ///
@@ -95,144 +126,170 @@ pub fn run(
     limits: &Limits,
     context: &Context<'_>,
 ) -> Result<Plan, PipelineError> {
-    context.progress.begin("plan");
-    let start = Instant::now();
-    let mut composition =
-        Composition::load(&input.composition, input.cameras.as_deref(), |text| context.progress.warn(&text))?;
-    composition.match_photos(input.photos.as_deref(), context)?;
-    let settings = Settings { shadow: Shadow::Auto, ..settings.clone() };
-    // The outline of an occluder decides about a pilot of a hundred pixels at a draft's resolution too.
-    let draft = Settings { quality: comgs_inverse::Quality::Draft, ..settings.clone() };
-    let baked = bake(&composition, &draft, None, context)?;
-    let plan = plan(&composition, &baked, &settings, limits, context)?;
-    let plan = Plan { plan_s: start.elapsed().as_secs_f64(), ..plan };
-    let on = plan.lines.iter().filter(|l| l.on).count();
-    context.progress.end(&format!("{on} of {} effects, {:.1} s", EFFECTS.len(), plan.seconds));
-    Ok(plan)
+    run_for(input, settings, limits, context).map(|(plan, _)| plan)
 }
 
-fn plan(
-    composition: &Composition,
-    baked: &Baked,
+/// [`run`], with what a run in the same process need not make again.
+///
+/// # Errors
+/// Those of [`run`].
+pub fn run_for(
+    input: &Input,
     settings: &Settings,
     limits: &Limits,
     context: &Context<'_>,
-) -> Result<Plan, PipelineError> {
-    let tracer = Tracer::new(&composition.scene.surfels, &TraceConfig::default())?;
+) -> Result<(Plan, Made), PipelineError> {
+    context.progress.begin("plan");
+    let start = Instant::now();
+    let mut warnings = Vec::new();
+    let mut composition = Composition::load(&input.composition, input.cameras.as_deref(), |text| {
+        context.progress.warn(&text);
+        warnings.push(text);
+    })?;
+    composition.match_photos(input.photos.as_deref(), context)?;
+    let load_s = start.elapsed().as_secs_f64();
+    let scene_tracer = Tracer::new(&composition.scene.surfels, &TraceConfig::default())?;
+    let trees_s = start.elapsed().as_secs_f64() - load_s;
+    let settings = Settings { shadow: Shadow::Auto, ..settings.clone() };
     let sampler = EnvironmentSampler::new(&composition.map);
-    let pilots = pilot::Pilots::new(composition, &tracer, &sampler, baked);
-    let mut lines = Vec::new();
+    let read_s = load_s + trees_s;
+    let (plan, scenes) =
+        plan(&composition, &scene_tracer, &sampler, &settings, limits, input, read_s, context)?;
+    let plan = Plan { plan_s: start.elapsed().as_secs_f64(), read_s, ..plan };
+    let on = plan.lines.iter().filter(|l| l.on).count();
+    context.progress.end(&format!("{on} of {} effects, {:.1} s", EFFECTS.len(), plan.seconds));
+    Ok((plan, Made { composition, scene_tracer, scenes, read_s: (load_s, trees_s), warnings }))
+}
+
+#[allow(clippy::too_many_arguments, reason = "called once, by `run_for`")]
+fn plan(
+    composition: &Composition,
+    tracer: &Tracer,
+    sampler: &EnvironmentSampler,
+    settings: &Settings,
+    limits: &Limits,
+    input: &Input,
+    read_s: f64,
+    context: &Context<'_>,
+) -> Result<(Plan, Vec<SceneFrame>), PipelineError> {
+    let start = Instant::now();
+    let small = stand_in::stand_in(composition, pilot::cameras(&composition.cameras));
+    // The objects' light is traced where it may be; without bounces, which know other ways.
+    let mut widest = Settings { quality: Quality::Draft, ..effects::none(settings) };
+    EFFECTS.iter().for_each(|effect| (effect.turn_on)(&mut widest));
+    let ground = Ground::new(&small, tracer, sampler, &Settings { indirect: false, ..widest })?;
+    let fields: OnceCell<Baked> = OnceCell::new();
+    let mut pilots = pilot::Pilots::new(&small, &ground, &fields, context)?;
+    let merge_s = start.elapsed().as_secs_f64();
+    let surfels = |c: &Composition| c.objects.iter().map(|o| o.subject.asset.surfels.len()).sum::<usize>();
+    let pixels = composition.cameras.iter().map(|c| c.width * c.height).sum::<usize>();
+    let (frame_s, scenes) = full_frame(composition, &small, &ground, settings)?;
+    let mut cost = Cost {
+        composition,
+        cache: input.cache.as_deref(),
+        fixed_s: read_s + merge_s,
+        frame_s,
+        pixels: pixels as f64 / pilots.pixels().max(1) as f64,
+        surfels: surfels(composition) as f64 / surfels(&small).max(1) as f64,
+        bake: (surfels(&small), FIELD, 0.0),
+    };
+
+    let mut tries: Vec<Try> = Vec::new();
     let mut with = effects::none(settings);
     let mut last = pilots.render(&with, context)?;
-    let always_s = last.seconds;
+    let nothing = (with.clone(), last.work);
     for effect in EFFECTS {
         if let Some(why) = (effect.missing)(composition) {
-            lines.push(Line {
-                effect: effect.name.into(),
-                change: None,
-                seconds: 0.0,
-                on: false,
-                reason: why,
-            });
+            tries.push(Try { effect: effect.name, outcome: Err(why) });
             continue;
         }
         // What builds on an effect that nobody sees is not tried: a scene that needs little is planned quickly.
-        let ground = effect.needs.and_then(|n| lines.iter().find(|l: &&Line| l.effect == n));
-        if let Some(ground) = ground.filter(|g| g.change.is_none_or(|c| c.mean < limits.tolerance)) {
-            let reason = format!("not tried: {} is below the tolerance or not there", ground.effect);
-            lines.push(Line { effect: effect.name.into(), change: None, seconds: 0.0, on: false, reason });
+        let ground = effect.needs.and_then(|n| tries.iter().find(|t| t.effect == n));
+        if let Some(ground) = ground.filter(|g| !g.reaches(limits.tolerance)) {
+            let why = format!("not tried: {} is below the tolerance or not there", ground.effect);
+            tries.push(Try { effect: effect.name, outcome: Err(why) });
             continue;
+        }
+        let before = (with.clone(), last.work);
+        if effect.needs_occlusion && fields.get().is_none() {
+            let baked = bake_at(&small, FIELD, None, context)?;
+            cost.bake.2 = baked.seconds;
+            // Nothing else fills it meanwhile.
+            let _ = fields.set(baked);
         }
         (effect.turn_on)(&mut with);
         let next = pilots.render(&with, context)?;
         let change = change(&last.frames, &next.frames);
-        // Preparing the occlusion is the near shadow's cost.
-        let bake_s = if effect.needs_occlusion { baked.seconds } else { 0.0 };
-        let seconds = (next.seconds - last.seconds).max(0.0) + bake_s;
-        lines.push(Line {
-            effect: effect.name.into(),
-            change: Some(change),
-            seconds,
-            on: false,
-            reason: String::new(),
-        });
+        let after = (with.clone(), next.work);
+        tries.push(Try { effect: effect.name, outcome: Ok((change, before, after)) });
         last = next;
     }
-    let shortfall = choose(&mut lines, always_s, limits);
-    let mut chosen = effects::none(settings);
+
+    let estimate = |quality: Quality, limits: &Limits| {
+        let seconds = |(settings, work): &(Settings, Work)| cost.seconds(settings, work, quality);
+        let always_s = seconds(&nothing);
+        let line = |t: &Try| match &t.outcome {
+            Err(why) => {
+                Line { effect: t.effect.into(), change: None, seconds: 0.0, on: false, reason: why.clone() }
+            }
+            Ok((change, before, after)) => {
+                let seconds = (seconds(after) - seconds(before)).max(0.0);
+                let change = Some(*change);
+                Line { effect: t.effect.into(), change, seconds, on: false, reason: String::new() }
+            }
+        };
+        let mut lines: Vec<Line> = tries.iter().map(line).collect();
+        let shortfall = choose::choose(&mut lines, always_s, limits);
+        let seconds = always_s + lines.iter().filter(|l| l.on).map(|l| l.seconds).sum::<f64>();
+        (lines, seconds, shortfall)
+    };
+    let wanted = Limits { budget_s: None, ..*limits };
+    let qualities: Vec<(Quality, f64)> = QUALITIES.iter().map(|&q| (q, estimate(q, &wanted).1)).collect();
+    let quality = match limits.budget_s {
+        Some(budget) if limits.any_quality => choose::quality(&qualities, budget),
+        _ => settings.quality,
+    };
+    let (mut lines, seconds, shortfall) = estimate(quality, limits);
+    let mut chosen = Settings { quality, ..effects::none(settings) };
     for effect in EFFECTS {
         if lines.iter().any(|l| l.on && l.effect == effect.name) {
             (effect.turn_on)(&mut chosen);
         }
     }
-    let seconds = always_s + lines.iter().filter(|l| l.on).map(|l| l.seconds).sum::<f64>();
     lines.extend(unmodelled::lines(composition));
-    Ok(Plan { lines, seconds, plan_s: 0.0, limits: *limits, settings: chosen, shortfall })
+    let (plan_s, limits) = (0.0, *limits);
+    let plan = Plan { lines, seconds, qualities, plan_s, read_s, limits, settings: chosen, shortfall };
+    Ok((plan, scenes))
 }
 
-/// Decides; returns what cannot be met.
-fn choose(lines: &mut [Line], always_s: f64, limits: &Limits) -> Option<String> {
-    let of = |name: &str| EFFECTS.iter().find(|e| e.name == name);
-    for line in lines.iter_mut() {
-        let Some(change) = line.change else { continue };
-        line.on = change.mean >= limits.tolerance;
-        line.reason = if line.on {
-            format!("changes {:.2} % of the pixels by {:.4}", 100.0 * change.touched, change.mean)
-        } else {
-            format!("changes {:.4}, below the tolerance of {}", change.mean, limits.tolerance)
-        };
+/// An effect that was tried: its change, and settings with work before and after; or why it was not.
+struct Try {
+    effect: &'static str,
+    #[allow(clippy::type_complexity, reason = "used here alone")]
+    outcome: Result<(Change, (Settings, Work), (Settings, Work)), String>,
+}
+
+impl Try {
+    fn reaches(&self, tolerance: f64) -> bool {
+        self.outcome.as_ref().is_ok_and(|(change, ..)| change.mean >= tolerance)
     }
-    // An effect falls with what it builds on.
-    let drop_orphans = |lines: &mut [Line]| {
-        for i in 0..lines.len() {
-            let Some(needs) = of(&lines[i].effect).and_then(|e: &Effect| e.needs) else { continue };
-            let is_there = lines.iter().any(|l| l.effect == needs && l.on);
-            if lines[i].on && !is_there {
-                lines[i].on = false;
-                lines[i].reason = format!("{needs} does not run");
-            }
-        }
-    };
-    drop_orphans(lines);
-    let budget = limits.budget_s?;
-    let mut spent = always_s;
-    // Most change a second first, and an effect never before what it builds on.
-    let mut open: Vec<usize> = (0..lines.len()).filter(|&i| lines[i].on).collect();
-    for line in lines.iter_mut() {
-        line.on = false;
-    }
-    let worth = |l: &Line| l.change.map_or(0.0, |c| c.mean * c.touched) / l.seconds.max(1e-3);
-    while !open.is_empty() {
-        let ready = |i: &&usize| {
-            let needs = of(&lines[**i].effect).and_then(|e| e.needs);
-            needs.is_none_or(|n| !open.iter().any(|&k| lines[k].effect == n))
-        };
-        let Some(&best) = open
-            .iter()
-            .filter(ready)
-            .max_by(|&&a, &&b| worth(&lines[a]).total_cmp(&worth(&lines[b])).then(b.cmp(&a)))
-        else {
-            break;
-        };
-        open.retain(|&i| i != best);
-        let needs = of(&lines[best].effect).and_then(|e| e.needs);
-        let supported = needs.is_none_or(|n| lines.iter().any(|l| l.effect == n && l.on));
-        if supported && spent + lines[best].seconds <= budget {
-            spent += lines[best].seconds;
-            lines[best].on = true;
-        } else if supported {
-            lines[best].reason =
-                format!("{:.1} s more would exceed the budget of {budget:.1} s", lines[best].seconds);
-        } else {
-            lines[best].reason = format!("{} does not run", needs.unwrap_or("what it builds on"));
-        }
-    }
-    (always_s > budget).then(|| {
-        format!(
-            "the budget of {budget:.1} s cannot be met: frames without any effect take {always_s:.1} s; the cheapest \
-             plan is made"
-        )
-    })
+}
+
+/// One frame of full size without effects, of the stand-in, in seconds; what it saw of the scene serves a run.
+fn full_frame(
+    composition: &Composition,
+    small: &Composition,
+    ground: &Ground<'_>,
+    settings: &Settings,
+) -> Result<(f64, Vec<SceneFrame>), PipelineError> {
+    let Some(camera) = composition.cameras.first() else { return Ok((0.0, Vec::new())) };
+    let start = Instant::now();
+    let scene = ground.composer.scene_frame(camera);
+    let none = effects::none(settings);
+    let parts = Parts { objects: false, shadow: false, cache: None };
+    let renderer = Renderer::for_parts(small, ground, None, None, &ReceiverCloud::default(), &none, parts)?;
+    let _ = renderer.frame_over(&scene, Known::default());
+    Ok((start.elapsed().as_secs_f64(), vec![scene]))
 }
 
 impl Plan {
@@ -250,55 +307,27 @@ impl Plan {
                 line.effect, line.seconds, line.reason
             ));
         }
+        let name = |q: &Quality| format!("{q:?}").to_lowercase();
+        let all: Vec<String> =
+            self.qualities.iter().map(|(q, seconds)| format!("{} {seconds:.1} s", name(q))).collect();
+        let why = match self.limits.budget_s {
+            Some(budget) if self.limits.any_quality => {
+                format!(", the finest that fits {budget:.1} s, or the cheapest")
+            }
+            _ => String::new(),
+        };
         text.push_str(&format!(
-            "estimated {:.1} s in all; the plan took {:.1} s\n",
-            self.seconds, self.plan_s
+            "quality {}{why}; all that is called for: {}\n",
+            name(&self.settings.quality),
+            all.join(", ")
+        ));
+        text.push_str(&format!(
+            "estimated {:.1} s in all; the plan took {:.2} s, {:.2} s of them reading\n",
+            self.seconds, self.plan_s, self.read_s
         ));
         if let Some(shortfall) = &self.shortfall {
             text.push_str(&format!("{shortfall}\n"));
         }
         text
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn line(effect: &Effect, mean: f64, seconds: f64) -> Line {
-        let change = Some(Change { mean, touched: 0.1 });
-        Line { effect: effect.name.into(), change, seconds, on: false, reason: String::new() }
-    }
-
-    fn on(lines: &[Line]) -> Vec<&str> {
-        lines.iter().filter(|l| l.on).map(|l| l.effect.as_str()).collect()
-    }
-
-    /// Goal: what is below the tolerance stays off and so does what builds on it; a budget takes what changes most a second
-    /// and never an effect without its ground; a budget that cannot be met gives the cheapest plan and says so.
-    #[test]
-    fn choices_follow_tolerance_budget_and_order() {
-        let all =
-            |mean: f64, seconds: f64| EFFECTS.iter().map(|e| line(e, mean, seconds)).collect::<Vec<_>>();
-        let limits = |tolerance, budget_s| Limits { tolerance, budget_s };
-        let mut lines = all(0.01, 1.0);
-        assert_eq!(choose(&mut lines, 1.0, &limits(0.004, None)), None);
-        assert_eq!(on(&lines).len(), EFFECTS.len());
-        // Without the near shadow neither the far one nor bounced light makes sense.
-        let mut lines = all(0.01, 1.0);
-        let near = lines.iter().position(|l| l.effect == effects::SHADOW_NEAR).unwrap();
-        lines[near].change = Some(Change { mean: 0.001, touched: 0.1 });
-        choose(&mut lines, 1.0, &limits(0.004, None));
-        assert!(!on(&lines).contains(&effects::SHADOW_FAR) && !on(&lines).contains(&effects::BOUNCE));
-        // Budget for two of them: the most worthwhile that stand alone.
-        let mut lines = all(0.01, 1.0);
-        lines[near].change = Some(Change { mean: 0.2, touched: 0.3 });
-        assert_eq!(choose(&mut lines, 1.0, &limits(0.004, Some(3.0))), None);
-        assert_eq!(on(&lines).len(), 2);
-        assert!(on(&lines).contains(&effects::SHADOW_NEAR), "{:?}", on(&lines));
-        // Nothing fits.
-        let mut lines = all(0.01, 1.0);
-        let shortfall = choose(&mut lines, 5.0, &limits(0.004, Some(2.0))).unwrap();
-        assert!(on(&lines).is_empty() && shortfall.contains("2.0 s cannot be met"), "{shortfall}");
     }
 }

@@ -45,6 +45,9 @@ pub struct Config {
     pub time_budget_s: Option<f64>,
     /// Seed.
     pub seed: u64,
+    /// Steps of the training instead of the quality's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<u32>,
     /// Hard limit on surfels instead of the quality's.
     pub max_surfels: Option<usize>,
     /// Photographs are reduced to this width.
@@ -64,6 +67,7 @@ impl Default for Config {
             quality: Quality::Balanced,
             time_budget_s: None,
             seed: 0,
+            iterations: None,
             max_surfels: None,
             max_width: 1600,
             resume: Resume::Never,
@@ -124,6 +128,10 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     let kind = config.kind.unwrap_or_else(|| guess_kind(&views));
     let mut train_config = TrainConfig::preset(kind, config.quality);
     train_config.seed = config.seed;
+    if let Some(iterations) = config.iterations {
+        train_config.iterations = iterations;
+        train_config.density_interval = (iterations / 24).max(50);
+    }
     if let Some(limit) = config.max_surfels {
         train_config.max_surfels = limit;
         train_config.initial_surfels = train_config.initial_surfels.min(limit * 6 / 10);

@@ -3,7 +3,7 @@
 
 mod stage;
 
-pub use stage::{Config, Input, Output, run};
+pub use stage::{Config, Input, Output, run, run_planned};
 
 use crate::stages::editing::{
     Baked, Composition, Lighting, OwnLight, RelitObjects, Settings, Shadow, lit_map,
@@ -11,10 +11,11 @@ use crate::stages::editing::{
 use crate::{Context, PipelineError, Status};
 use comgs_compose::{
     CacheConfig, CacheStatistics, CameraLook, ComposeConfig, ComposedFrame, Composer, FieldShadow, NearField,
-    ObjectShader, ReceiverCloud, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig, ShadowLight,
-    ShadowRatios, ShadowSource, objects,
+    ObjectFrame, ObjectShader, ReceiverCloud, SceneFrame, SceneProbeConfig, SceneProbes, ShadowCache,
+    ShadowConfig, ShadowLight, ShadowRatios, ShadowSource, objects,
 };
 use comgs_geom::Camera;
+use comgs_image::Image;
 use comgs_light::EnvironmentSampler;
 use comgs_probe::{BakeObserver, ProbeSet};
 use comgs_trace::{TraceConfig, Tracer};
@@ -66,6 +67,7 @@ pub(crate) struct Renderer<'a> {
     relit: Option<RelitObjects<'a>>,
     pub prepared: Prepared,
     shadow: Shadow,
+    near_only: bool,
     /// What the photos' camera adds.
     look: CameraLook,
     seed: u64,
@@ -77,7 +79,8 @@ pub(crate) struct Renderer<'a> {
 pub(crate) struct Ground<'a> {
     pub composer: Composer<'a>,
     pub light: ShadowLight,
-    pub near: Option<NearField>,
+    /// The near field, and the light with its strong lights where the scene has them.
+    near: Option<(NearField, ShadowLight)>,
     scene_tracer: &'a Tracer,
     pub object_tracer: Option<Tracer>,
     pub probes: Option<ProbeSet>,
@@ -104,12 +107,11 @@ impl<'a> Ground<'a> {
         let near = settings.near_field.then(|| {
             let radius = composition.spheres().iter().map(|s| s.1).fold(f32::INFINITY, f32::min);
             let (centre, split) = (composition.light_centre(), settings.light().split);
-            NearField::new(scene_tracer, centre, NEAR_CLIP * radius, &composition.map, split.as_ref())
+            let near =
+                NearField::new(scene_tracer, centre, NEAR_CLIP * radius, &composition.map, split.as_ref());
+            let located = near.located(light.clone());
+            (near, located)
         });
-        let light = match &near {
-            Some(near) => near.located(light),
-            None => light,
-        };
         prepared.light_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let traced = settings.shadow == Shadow::Trace && composition.wants_shadow();
@@ -139,10 +141,20 @@ impl<'a> Ground<'a> {
 }
 
 impl Ground<'_> {
+    /// The light for some settings, which may do without the near field.
+    fn light_for(&self, settings: &Settings) -> &ShadowLight {
+        self.near.as_ref().filter(|_| settings.near_field).map_or(&self.light, |(_, located)| located)
+    }
+
     /// The objects' shadow from their fields, past the scene's own.
-    fn field_shadow<'b>(&'b self, composition: &Composition, baked: &'b Baked) -> FieldShadow<'b> {
+    fn field_shadow<'b>(
+        &'b self,
+        composition: &Composition,
+        baked: &'b Baked,
+        settings: &Settings,
+    ) -> FieldShadow<'b> {
         let smallest = composition.spheres().iter().map(|s| s.1).fold(f32::INFINITY, f32::min);
-        FieldShadow::new(&self.light, &baked.placed(composition))
+        FieldShadow::new(self.light_for(settings), &baked.placed(composition))
             .with_scene(self.scene_tracer, CLEARANCE * smallest)
     }
 }
@@ -151,23 +163,73 @@ impl Ground<'_> {
 /// about it rather than on it.
 const CLEARANCE: f32 = 0.3;
 
-/// What the cameras see of the scene: does not change when objects move.
-pub(crate) fn receivers(
-    composer: &Composer<'_>,
-    cameras: &[Camera],
-    context: &Context<'_>,
-) -> Result<ReceiverCloud, PipelineError> {
-    let mut cloud = ReceiverCloud::default();
-    for (i, camera) in cameras.iter().enumerate() {
-        context.check()?;
-        context.progress.update(&Status {
-            fraction: Some(i as f64 / cameras.len() as f64),
-            message: format!("what camera {} sees", camera.name),
-            remaining: None,
-        });
-        cloud.add(camera, &composer.receivers(camera));
+/// What cameras see of the scene: does not change when objects move.
+#[derive(Default)]
+pub(crate) struct Seen {
+    /// The points of all of them.
+    pub cloud: ReceiverCloud,
+    /// The frame of every camera, as far as memory goes.
+    frames: Vec<Option<SceneFrame>>,
+}
+
+/// Memory for frames of the scene.
+const KEPT_BYTES: usize = 256 << 20;
+
+impl Seen {
+    /// Looks through every camera. `known` are frames that are there already.
+    ///
+    /// # Errors
+    /// [`PipelineError::Cancelled`].
+    pub fn new(
+        composer: &Composer<'_>,
+        cameras: &[Camera],
+        mut known: Vec<SceneFrame>,
+        context: &Context<'_>,
+    ) -> Result<Self, PipelineError> {
+        let (mut seen, mut bytes) = (Self::default(), 0);
+        for (i, camera) in cameras.iter().enumerate() {
+            context.check()?;
+            context.progress.update(&Status {
+                fraction: Some(i as f64 / cameras.len() as f64),
+                message: format!("what camera {} sees", camera.name),
+                remaining: None,
+            });
+            let frame = match known.iter().position(|f| f.camera() == camera) {
+                Some(k) => known.swap_remove(k),
+                None => composer.scene_frame(camera),
+            };
+            seen.cloud.add(camera, frame.receivers());
+            bytes += frame.memory_bytes();
+            seen.frames.push((bytes <= KEPT_BYTES).then_some(frame));
+        }
+        Ok(seen)
     }
-    Ok(cloud)
+
+    /// The frame of a camera, by its number, where it was kept; only once.
+    pub fn take(&mut self, camera: usize) -> Option<SceneFrame> {
+        self.frames.get_mut(camera).and_then(Option::take)
+    }
+
+    /// The same, to be used again.
+    pub fn frame(&self, camera: usize) -> Option<&SceneFrame> {
+        self.frames.get(camera).and_then(Option::as_ref)
+    }
+}
+
+/// Which parts of a frame are to be made anew.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Parts {
+    pub objects: bool,
+    pub shadow: bool,
+    /// The shadow cache, where it is not that of the quality.
+    pub cache: Option<CacheConfig>,
+}
+
+/// What of a frame is known from an earlier one of the same camera.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Known<'a> {
+    pub object: Option<&'a ObjectFrame>,
+    pub shadow: Option<&'a Image>,
 }
 
 impl<'a> Renderer<'a> {
@@ -183,31 +245,55 @@ impl<'a> Renderer<'a> {
         receivers: &ReceiverCloud,
         settings: &Settings,
     ) -> Result<Self, PipelineError> {
+        let all = Parts { objects: true, shadow: true, cache: None };
+        Self::for_parts(composition, ground, baked, own, receivers, settings, all)
+    }
+
+    /// [`Renderer::new`] for frames of which some parts are known: others must not be asked for.
+    ///
+    /// # Errors
+    /// [`PipelineError`].
+    pub fn for_parts(
+        composition: &'a Composition,
+        ground: &'a Ground<'a>,
+        baked: Option<&'a Baked>,
+        own: Option<&'a OwnLight>,
+        receivers: &ReceiverCloud,
+        settings: &Settings,
+        parts: Parts,
+    ) -> Result<Self, PipelineError> {
         let mut prepared = ground.prepared;
-        let shadow = if composition.wants_shadow() { settings.shadow } else { Shadow::None };
+        let shadow = match composition.wants_shadow() && parts.shadow {
+            true => settings.shadow,
+            false => Shadow::None,
+        };
         let start = Instant::now();
         // A floor in the objects' shadow sends them less light.
-        let near = ground.near.clone().map(|near| match baked {
-            Some(baked) if shadow == Shadow::Auto => {
-                near.with_shadow(&ground.field_shadow(composition, baked))
-            }
-            _ => near,
+        let casts = settings.shadow == Shadow::Auto && composition.wants_shadow();
+        let near = ground.near.as_ref().filter(|_| settings.near_field && parts.objects);
+        let near = near.map(|(near, _)| match baked.filter(|_| casts) {
+            Some(baked) => near.clone().with_shadow(&ground.field_shadow(composition, baked, settings)),
+            None => near.clone(),
         });
         let lighting = Lighting {
             cloud: ground.composer.objects(),
             probes: ground.probes.as_ref(),
             tracer: ground.object_tracer.as_ref(),
-            light: &ground.light,
+            light: ground.light_for(settings),
             baked,
             own,
             near,
         };
-        let relit = RelitObjects::new(composition, lighting, &lit_map(composition), settings)?;
+        // Bounced light is the objects' own.
+        let relit = match parts.objects || (settings.bounce && shadow != Shadow::None) {
+            true => RelitObjects::new(composition, lighting, &lit_map(composition), settings)?,
+            false => None,
+        };
         prepared.relight_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let exact: Option<Box<dyn ShadowRatios + 'a>> = match (shadow, baked) {
             (Shadow::Auto, Some(baked)) => {
-                let field = ground.field_shadow(composition, baked);
+                let field = ground.field_shadow(composition, baked, settings);
                 Some(Box::new(if settings.bounce {
                     let seen = seen_radiance(composition, &ground.composer, relit.as_ref());
                     field.with_bounce(move |_, d| seen.towards(d))
@@ -218,17 +304,14 @@ impl<'a> Renderer<'a> {
             (Shadow::Probes, _) => scene_probes(composition, ground, receivers)?,
             _ => None,
         };
-        let exact = match exact {
-            Some(all) if settings.near_only => Some(Box::new(NearOnly(all)) as Box<dyn ShadowRatios + 'a>),
-            other => other,
-        };
         let spent = start.elapsed().as_secs_f64();
         match shadow {
             Shadow::Probes => prepared.probes_s = spent,
             _ => prepared.bounce_s = spent,
         }
         let cache = exact.as_ref().map(|exact| {
-            let cache = ShadowCache::build(receivers, exact.as_ref(), &settings.cache());
+            let config = parts.cache.unwrap_or_else(|| settings.cache());
+            let cache = ShadowCache::build(receivers, exact.as_ref(), &config);
             prepared.cache_s = cache.statistics().seconds;
             cache
         });
@@ -237,21 +320,49 @@ impl<'a> Renderer<'a> {
             defocus: look.defocus.filter(|_| settings.defocus),
             noise: look.noise.filter(|_| settings.noise),
         };
-        let (composer, seed) = (&ground.composer, settings.seed);
-        Ok(Self { composer, exact, cache, relit, prepared, shadow, look, seed, step: 0 })
+        let (composer, seed, near_only) = (&ground.composer, settings.seed, settings.near_only);
+        Ok(Self { composer, exact, cache, relit, prepared, shadow, near_only, look, seed, step: 0 })
     }
 
     /// One frame.
     pub fn frame(&self, camera: &Camera) -> ComposedFrame {
-        let source = match (&self.cache, &self.exact) {
-            (Some(cache), Some(exact)) => ShadowSource::Cached(cache, exact.as_ref()),
+        let scene = self.composer.scene_frame(camera);
+        let mut frame = self.frame_over(&scene, Known::default());
+        frame.stats.raster_s += scene.seconds();
+        frame
+    }
+
+    /// One frame over a scene that was rendered before; parts that are known are taken as they are.
+    pub fn frame_over(&self, scene: &SceneFrame, known: Known<'_>) -> ComposedFrame {
+        let source = match (known.shadow, &self.cache, &self.exact) {
+            (Some(ratio), ..) => ShadowSource::Known(ratio),
+            (None, Some(cache), Some(exact)) => ShadowSource::Cached(cache, exact.as_ref()),
             _ => ShadowSource::Configured,
         };
-        let shader = self.relit.as_ref().map(|r| r as &dyn ObjectShader);
-        let mut frame = self.composer.frame_with(camera, source, shader);
-        let name = camera.name.bytes().fold(0u64, |h, b| h.wrapping_mul(31).wrapping_add(u64::from(b)));
+        let made;
+        let object = match known.object {
+            Some(object) => object,
+            None => {
+                made = self.objects(scene);
+                &made
+            }
+        };
+        let mut frame = self.composer.blend(scene, object, source);
+        if self.near_only && known.shadow.is_none() {
+            let spheres = self.exact.as_ref().map(|exact| exact.spheres()).unwrap_or_default();
+            let near = cut_off(&frame.shadow, scene, &spheres);
+            let stats = frame.stats;
+            frame = ComposedFrame { stats, ..self.composer.blend(scene, object, ShadowSource::Known(&near)) };
+        }
+        let name = &scene.camera().name;
+        let name = name.bytes().fold(0u64, |h, b| h.wrapping_mul(31).wrapping_add(u64::from(b)));
         self.look.apply(&mut frame, self.seed, name.wrapping_add(self.step.wrapping_mul(0x9e37_79b9)));
         frame
+    }
+
+    /// The objects' part of a frame.
+    pub fn objects(&self, scene: &SceneFrame) -> ObjectFrame {
+        self.composer.object_frame(scene, self.relit.as_ref().map(|r| r as &dyn ObjectShader))
     }
 
     /// What the shadow cache took.
@@ -273,29 +384,16 @@ impl<'a> Renderer<'a> {
 /// Shadows beyond this many radii are far.
 const NEAR: f32 = 6.0;
 
-/// Ratios within a few radii of what casts them.
-struct NearOnly<'a>(Box<dyn ShadowRatios + 'a>);
-
-impl ShadowRatios for NearOnly<'_> {
-    fn ratios(&self, points: &[Vec3], normals: &[Vec3]) -> Vec<Vec3> {
-        let spheres = self.0.spheres();
-        let near = |p: &Vec3| spheres.iter().any(|(c, r)| (*p - *c).length() < NEAR * r);
-        let mut ratios = self.0.ratios(points, normals);
-        for (p, ratio) in points.iter().zip(&mut ratios) {
-            if !near(p) {
-                *ratio = Vec3::ONE;
-            }
+/// A shadow without what is beyond a few radii of what casts it.
+pub(crate) fn cut_off(ratio: &Image, scene: &SceneFrame, spheres: &[(Vec3, f32)]) -> Image {
+    let mut near = ratio.clone();
+    let is_near = |p: Vec3| spheres.iter().any(|(c, r)| (p - *c).length() < NEAR * r);
+    for (pixel, point) in near.data.chunks_exact_mut(3).zip(&scene.receivers().points) {
+        if !is_near(*point) {
+            pixel.fill(1.0);
         }
-        ratios
     }
-
-    fn spheres(&self) -> Vec<(Vec3, f32)> {
-        self.0.spheres()
-    }
-
-    fn strong(&self) -> Vec<comgs_compose::StrongFrom> {
-        self.0.strong()
-    }
+    near
 }
 
 /// Probes in the scene; `None` where no camera sees a receiver near the objects.

@@ -2,8 +2,9 @@
 
 use crate::stages::editing::{Composition, Settings};
 use crate::stages::eval::composition::TruthFrames;
-use crate::stages::render_composition::receivers;
-use crate::tradeoff::{Better, Metric, Row, Sweep, machine};
+use crate::stages::render_composition::Seen;
+use crate::tradeoff::drive::{Measured, Setting, chosen, drive};
+use crate::tradeoff::{Better, Metric, Sweep, machine};
 use crate::{Context, PipelineError, Status};
 use comgs_compose::{
     CacheConfig, Caster, ComposeConfig, ComposedFrame, Composer, Denoise, Density, FieldConfig, FieldShadow,
@@ -66,13 +67,7 @@ enum Way {
     Probes(SceneProbeConfig),
 }
 
-struct Setting {
-    knob: &'static str,
-    label: String,
-    way: Way,
-}
-
-fn settings() -> Vec<Setting> {
+fn settings() -> Vec<Setting<Way>> {
     let field = FieldConfig::default();
     let light = ShadowLightConfig::default;
     let cache = CacheConfig::default;
@@ -80,7 +75,12 @@ fn settings() -> Vec<Setting> {
     let plain = || Way::Field { field, light: light(), cache: Some(cache()) };
     let mut out = Vec::new();
     let mut of = |knob: &'static str, label: &str, way: Way| {
-        out.push(Setting { knob, label: label.to_owned(), way });
+        // Knobs that probes have start from the probes.
+        let is_default = match knob {
+            "probes" | "neighbours" => way == Way::Probes(probes()),
+            _ => way == plain(),
+        };
+        out.push(Setting { knob, label: label.to_owned(), is_default, way });
     };
     of("way", "cached field", plain());
     of("way", "exact field", Way::Field { field, light: light(), cache: None });
@@ -130,13 +130,6 @@ fn settings() -> Vec<Setting> {
     out
 }
 
-/// Defaults of the knobs that probes have.
-fn is_default(setting: &Setting) -> bool {
-    let probes = Way::Probes(SceneProbeConfig::default());
-    let field = settings()[0].way.clone();
-    if matches!(setting.knob, "probes" | "neighbours") { setting.way == probes } else { setting.way == field }
-}
-
 /// Runs all settings and writes one table and one plot; after every run what is done so far.
 ///
 /// Seconds are of a frame, the fastest of some; preparation stands beside it. Errors: PSNR of the shadow ratio against
@@ -146,51 +139,19 @@ fn is_default(setting: &Setting) -> bool {
 /// # Errors
 /// [`PipelineError`].
 pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Sweep, PipelineError> {
-    if let Some(unknown) = config.knobs.iter().find(|k| !KNOBS.contains(&k.as_str())) {
-        return Err(PipelineError::input("--knobs", KNOBS.join(", "), unknown.clone()));
-    }
+    let chosen = chosen(settings(), &config.knobs, &KNOBS)?;
     context.progress.begin("tradeoff shadow");
     let composition = Composition::load(&input.composition, None, |text| context.progress.warn(&text))?;
     let truth = input.truth.as_ref().map(|t| TruthFrames::new(t)).transpose()?;
     let bench = Bench::new(&composition, config, truth, context)?;
-    let mut sweep = Sweep {
+    let sweep = Sweep {
         title: "What a shadow's accuracy costs".to_owned(),
         command: input.command.clone(),
         machine: machine(),
         metrics: metrics(bench.truth.is_some()),
         rows: Vec::new(),
     };
-    let chosen: Vec<Setting> = settings()
-        .into_iter()
-        .filter(|s| config.knobs.is_empty() || config.knobs.iter().any(|k| k == s.knob))
-        .collect();
-    let mut known: Vec<(Way, f64, BTreeMap<String, f64>)> = Vec::new();
-    for (i, setting) in chosen.iter().enumerate() {
-        context.check()?;
-        context.progress.update(&Status {
-            fraction: Some(i as f64 / chosen.len() as f64),
-            message: format!("{} {}", setting.knob, setting.label),
-            remaining: None,
-        });
-        let (seconds, values) = match known.iter().find(|k| k.0 == setting.way) {
-            Some((_, seconds, values)) => (*seconds, values.clone()),
-            None => {
-                let (seconds, values) = bench.measure(&setting.way, context)?;
-                known.push((setting.way.clone(), seconds, values.clone()));
-                (seconds, values)
-            }
-        };
-        sweep.rows.push(Row {
-            group: setting.knob.into(),
-            label: setting.label.clone(),
-            is_default: is_default(setting),
-            seconds,
-            values,
-        });
-        sweep.write(&input.output, "shadow")?;
-    }
-    context.progress.end(&format!("{} runs; {}", sweep.rows.len(), input.output.join("shadow.md").display()));
-    Ok(sweep)
+    drive(sweep, &chosen, &input.output, "shadow", context, |setting| bench.measure(&setting.way, context))
 }
 
 fn metrics(truth: bool) -> Vec<Metric> {
@@ -254,7 +215,7 @@ impl<'a> Bench<'a> {
             });
             reference.push(composer.frame(camera).shadow);
         }
-        let seen = receivers(&composer, &bench.cameras, context)?;
+        let seen = Seen::new(&composer, &bench.cameras, Vec::new(), context)?.cloud;
         drop(composer);
         (bench.reference, bench.seen) = (reference, seen);
         Ok(bench)
@@ -273,11 +234,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Seconds of a frame, and measures.
-    fn measure(
-        &self,
-        way: &Way,
-        context: &Context<'_>,
-    ) -> Result<(f64, BTreeMap<String, f64>), PipelineError> {
+    fn measure(&self, way: &Way, context: &Context<'_>) -> Result<Measured, PipelineError> {
         match way {
             Way::Trace(rays, smooth) => {
                 let composer = self.composer(Some((*rays, *smooth)))?;
@@ -333,7 +290,7 @@ impl<'a> Bench<'a> {
         start: Instant,
         bake_s: f64,
         bytes: usize,
-    ) -> Result<(f64, BTreeMap<String, f64>), PipelineError> {
+    ) -> Result<Measured, PipelineError> {
         let composer = self.composer(None)?;
         let cache = cache.map(|config| ShadowCache::build(&self.seen, exact, config));
         let prepare_s = start.elapsed().as_secs_f64() + bake_s;
@@ -353,7 +310,7 @@ impl<'a> Bench<'a> {
         repeats: usize,
         [prepare_s, bake_s, memory_mb]: [f64; 3],
         frame: &dyn Fn(&Camera) -> ComposedFrame,
-    ) -> Result<(f64, BTreeMap<String, f64>), PipelineError> {
+    ) -> Result<Measured, PipelineError> {
         let (mut frame_s, mut shadow_s, mut square, mut counted) = (0.0, 0.0, 0.0f64, 0usize);
         let mut truth_db = Vec::new();
         for (camera, reference) in self.cameras.iter().zip(&self.reference) {

@@ -2,7 +2,7 @@
 
 use super::{Composition, Settings};
 use crate::{Context, Fingerprint, PipelineError, Status};
-use comgs_compose::{Caster, FieldError, occlusion_field};
+use comgs_compose::{Caster, FieldConfig, FieldError, occlusion_field};
 use comgs_geom::Similarity;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -50,6 +50,22 @@ pub(crate) fn bake(
     cache: Option<&Path>,
     context: &Context<'_>,
 ) -> Result<Baked, PipelineError> {
+    bake_at(composition, settings.field(), cache, context)
+}
+
+/// Whether [`bake`] would find all fields in the folder.
+pub(crate) fn is_baked(composition: &Composition, settings: &Settings, cache: &Path) -> bool {
+    let there = |object| cache_file(cache, object, settings.field()).is_ok_and(|file| file.is_file());
+    composition.objects.iter().all(there)
+}
+
+/// [`bake`] at a resolution of one's own.
+pub(crate) fn bake_at(
+    composition: &Composition,
+    field: FieldConfig,
+    cache: Option<&Path>,
+    context: &Context<'_>,
+) -> Result<Baked, PipelineError> {
     let start = Instant::now();
     let mut baked = Baked { casters: Vec::new(), of: Vec::new(), written: Vec::new(), read: 0, seconds: 0.0 };
     for (i, object) in composition.objects.iter().enumerate() {
@@ -64,7 +80,7 @@ pub(crate) fn bake(
             message: format!("occlusion of {}", object.name),
             remaining: None,
         });
-        let file = cache.map(|folder| cache_file(folder, object, settings)).transpose()?;
+        let file = cache.map(|folder| cache_file(folder, object, field)).transpose()?;
         // A file that cannot be read is baked anew and replaced.
         let kept = file
             .as_ref()
@@ -73,7 +89,7 @@ pub(crate) fn bake(
         baked.read += usize::from(kept.is_some());
         let is_new = kept.is_none();
         let cancelled = || context.cancel.is_cancelled();
-        let caster = Caster::new(&object.subject.asset.surfels, settings.field(), kept, &cancelled)
+        let caster = Caster::new(&object.subject.asset.surfels, field, kept, &cancelled)
             .map_err(|e| refused(&object.name, e))?;
         if let Some(path) = file {
             if is_new {
@@ -90,10 +106,9 @@ pub(crate) fn bake(
     Ok(baked)
 }
 
-fn cache_file(folder: &Path, object: &super::Placed, settings: &Settings) -> Result<PathBuf, PipelineError> {
+fn cache_file(folder: &Path, object: &super::Placed, field: FieldConfig) -> Result<PathBuf, PipelineError> {
     let mut fingerprint = Fingerprint::new("occlusion");
     fingerprint.surfels("object", &object.subject.path)?;
-    let field = settings.field();
     fingerprint.config("field", &(field.directions, field.resolution))?;
     let hash = fingerprint.finish();
     Ok(folder.join(format!("{}-{}.occlusion", object.name, &hash[..16])))

@@ -7,13 +7,14 @@ use comgs_light::EnvironmentMap;
 use comgs_probe::{ProbeConfig, ProbeError, ProbeSet};
 use comgs_scene::{Asset, AssetKind};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A decomposed object.
 pub(crate) struct Subject {
     /// Surfels with material.
     pub asset: Asset,
     /// Probes and how they are looked up; `None` for an object that was decomposed without, and for bare PLYs.
-    pub probes: Option<(ProbeSet, ProbeConfig)>,
+    pub probes: Option<(Arc<ProbeSet>, ProbeConfig)>,
     /// Where it was read from.
     pub path: PathBuf,
 }
@@ -43,13 +44,14 @@ impl Subject {
 
     /// The probes alone.
     pub fn probe_set(&self) -> Option<&ProbeSet> {
-        self.probes.as_ref().map(|(set, _)| set)
+        self.probes.as_ref().map(|(set, _)| &**set)
     }
 }
 
-fn read_probes(file: &Path) -> Result<(ProbeSet, ProbeConfig), PipelineError> {
+fn read_probes(file: &Path) -> Result<(Arc<ProbeSet>, ProbeConfig), PipelineError> {
     let bytes = std::fs::read(file).map_err(|e| PipelineError::io(file, e))?;
-    comgs_probe::from_bytes(&bytes).map_err(|e| {
+    let read = comgs_probe::from_bytes(&bytes).map(|(set, lookup)| (Arc::new(set), lookup));
+    read.map_err(|e| {
         let expected = "probes made by `comgs decompose`";
         PipelineError::input(file.display().to_string(), expected, e.to_string())
     })

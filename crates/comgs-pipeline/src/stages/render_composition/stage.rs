@@ -1,8 +1,8 @@
 //! The stage: reading, rendering, writing, recording.
 
-use super::{Ground, Renderer, cache_json, receivers};
+use super::{Ground, Known, Renderer, Seen, cache_json};
 use crate::stages::editing::{Composition, OwnLight, Settings, Shadow, bake};
-use crate::stages::plan::Plan;
+use crate::stages::plan::{Made, Plan};
 use crate::{Context, PipelineError, Run, RunRecord, Status, output};
 use comgs_compose::{ComposedFrame, layers::write_frame_layers};
 use comgs_image::write_png;
@@ -59,6 +59,19 @@ pub struct Output {
 /// # Errors
 /// [`PipelineError`]: a composition that cannot be read, lamps that are none, objects that cast no shadow.
 pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Output, PipelineError> {
+    run_planned(input, config, None, context)
+}
+
+/// [`run`], with what the plan has made of the same composition and cameras.
+///
+/// # Errors
+/// Those of [`run`].
+pub fn run_planned(
+    input: &Input,
+    config: &Config,
+    made: Option<Made>,
+    context: &Context<'_>,
+) -> Result<Output, PipelineError> {
     context.progress.begin("render the composition");
     let mut run = Run::in_folder("render", &input.output);
     run.check_output()?;
@@ -66,9 +79,19 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         output::check_folder(cache)?;
     }
     let settings = &config.settings;
-    let mut composition =
-        Composition::load(&input.composition, input.cameras.as_deref(), |text| run.warn(context, text))?;
-    composition.match_photos(input.photos.as_deref(), context)?;
+    let start = Instant::now();
+    let (composition, made, load_s) = match made {
+        Some(Made { composition, scene_tracer, scenes, read_s, warnings }) => {
+            warnings.into_iter().for_each(|text| run.warn(context, text));
+            (composition, Some((scene_tracer, scenes, read_s.1)), read_s.0)
+        }
+        None => {
+            let warn = |text| run.warn(context, text);
+            let mut read = Composition::load(&input.composition, input.cameras.as_deref(), warn)?;
+            read.match_photos(input.photos.as_deref(), context)?;
+            (read, None, start.elapsed().as_secs_f64())
+        }
+    };
     let mut fingerprint = composition.fingerprint("render")?;
     fingerprint.config("cameras", &composition.cameras)?;
     fingerprint.config("config", config)?;
@@ -84,8 +107,17 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     run.describe(fingerprint, inputs, config, Some(settings.seed))?;
     run.invalidate()?;
 
-    let scene_tracer =
-        run.time("trees", || Tracer::new(&composition.scene.surfels, &TraceConfig::default()))?;
+    run.add_time("read", load_s, false);
+    let (scene_tracer, scenes) = match made {
+        Some((tracer, scenes, seconds)) => {
+            run.add_time("trees", seconds, false);
+            (tracer, scenes)
+        }
+        None => {
+            let build = || Tracer::new(&composition.scene.surfels, &TraceConfig::default());
+            (run.time("trees", build)?, Vec::new())
+        }
+    };
     for warning in composition.placement_warnings(&scene_tracer) {
         run.warn(context, warning);
     }
@@ -102,13 +134,13 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     let sampler = EnvironmentSampler::new(&composition.map);
     let ground = Ground::new(&composition, &scene_tracer, &sampler, settings)?;
     let start = Instant::now();
-    let seen = match shadow {
-        Shadow::Auto | Shadow::Probes => receivers(&ground.composer, &composition.cameras, context)?,
-        _ => comgs_compose::ReceiverCloud::default(),
+    let mut seen = match shadow {
+        Shadow::Auto | Shadow::Probes => Seen::new(&ground.composer, &composition.cameras, scenes, context)?,
+        _ => Seen::default(),
     };
     let receivers_s = start.elapsed().as_secs_f64();
     let own = run.time("self-occlusion", || OwnLight::new(&composition, settings))?;
-    let renderer = Renderer::new(&composition, &ground, baked.as_ref(), own.as_ref(), &seen, settings)?;
+    let renderer = Renderer::new(&composition, &ground, baked.as_ref(), own.as_ref(), &seen.cloud, settings)?;
     let p = renderer.prepared;
     for (stage, seconds) in [
         ("light", p.light_s),
@@ -134,8 +166,12 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
             remaining: None,
         });
         let start = Instant::now();
-        let frame = renderer.frame(camera);
+        let frame = match seen.take(i) {
+            Some(scene) => renderer.frame_over(&scene, Known::default()),
+            None => renderer.frame(camera),
+        };
         totals.add(&frame, start.elapsed().as_secs_f64());
+        let start = Instant::now();
         let file = |folder: &str, extension: &str| {
             input.output.join(folder).join(format!("{}.{extension}", camera.name))
         };
@@ -149,6 +185,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         for file in &files {
             run.output(file)?;
         }
+        totals.write_s += start.elapsed().as_secs_f64();
     }
     let list = input.output.join("cameras.json");
     write_cameras(&list, &composition.cameras)?;
@@ -164,6 +201,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         ("order", totals.order_s),
         ("relight", totals.relight_s),
         ("shadow", totals.shadow_s),
+        ("write", totals.write_s),
     ] {
         run.add_time(stage, seconds, false);
     }
@@ -172,8 +210,11 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     let planned = config.plan.as_ref().map(|plan| {
         json!({
             "lines": plan.lines,
+            "quality": plan.settings.quality,
+            "qualities": plan.qualities,
             "estimated_s": plan.seconds,
             "outcome_s": spent,
+            "read_s": plan.read_s,
             "plan_s": plan.plan_s,
             "shortfall": plan.shortfall,
         })
@@ -196,7 +237,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         "strong_share": ground.light.strong_share(),
         "occlusion_bytes": baked.as_ref().map_or(0, |b| b.bytes()),
         "occlusion_read": baked.as_ref().map_or(0, |b| b.read),
-        "receivers": seen.len(),
+        "receivers": seen.cloud.len(),
         "cache": cache_json(&settings.cache()),
         "cells": cache.map_or(0, |c| c.cells),
         "cache_evaluated": cache.map_or(0, |c| c.evaluated),
@@ -216,6 +257,7 @@ struct Totals {
     order_s: f64,
     relight_s: f64,
     shadow_s: f64,
+    write_s: f64,
     missed: usize,
     object_px: f64,
     visible_px: f64,
