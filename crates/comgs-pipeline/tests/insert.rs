@@ -1,7 +1,8 @@
 //! `insert` and its benchmark from files to files: what is written, kept, refused and said.
 
+use comgs_geom::Camera;
 use comgs_image::{Image, read, write_exr, write_png};
-use comgs_insert::ground::Ground;
+use comgs_insert::ground::{Ground, Size};
 use comgs_insert::material::Property;
 use comgs_insert::optimise::Curves;
 use comgs_insert::render::Samples;
@@ -12,6 +13,7 @@ use comgs_pipeline::stages::insert::{
 };
 use comgs_pipeline::stages::insert_eval;
 use comgs_pipeline::{CancelToken, Context, PipelineError, Silent};
+use glam::DVec3;
 use std::path::{Path, PathBuf};
 
 /// A tent of four faces, as an OBJ with y up: half a metre wide and high.
@@ -304,6 +306,58 @@ impl comgs_pipeline::Progress for Stopping {
     fn end(&self, _: &str) {}
     fn note(&self, _: &str) {}
     fn warn(&self, _: &str) {}
+}
+
+/// Goal: without a plane the ground is asked of the photo: a tiled room tells it, a plain photo does not and is said not to; corners
+/// whose sides are not square are remarked on.
+#[test]
+fn the_ground_by_the_photo() {
+    let root = tempfile::tempdir().unwrap();
+    let mut input = files(root.path());
+    let (w, h) = (300, 200);
+    let mut camera = Camera::look_at("photo", w, h, 1.0, DVec3::Z * 1.3, DVec3::new(3.0, 1.0, 0.3), DVec3::Z);
+    camera.world_from_camera.matrix3 *= glam::DMat3::from_rotation_z(0.09);
+    let mut photo = Image::zeros(w, h, 3);
+    for y in 0..h {
+        for x in 0..w {
+            let mut sum = 0.0;
+            for k in 0..9 {
+                let (u, v) = ((k % 3) as f64 / 3.0 + 0.17, (k / 3) as f64 / 3.0 + 0.17);
+                let ray = camera.ray_world(x as f64 + u, y as f64 + v);
+                let (floor, wall) = (-1.3 / ray.z, 5.0 / ray.x);
+                let tile = |a: f64, b: f64| f64::from(((a.floor() + b.floor()) as i64).rem_euclid(2) as u8);
+                sum += if ray.z < 0.0 && floor < wall {
+                    0.3 + 0.3 * tile(ray.x * floor / 0.6, ray.y * floor / 0.6)
+                } else {
+                    0.2 + 0.2 * tile(ray.y * wall / 0.9, (1.3 + ray.z * wall) / 0.9)
+                };
+            }
+            photo.pixel_mut(x, y).copy_from_slice(&[(sum / 9.0) as f32; 3]);
+        }
+    }
+    write_png(&root.path().join("room.png"), &photo).unwrap();
+    let config = Config {
+        camera: CameraFrom::Fov(1.0f64.to_degrees()),
+        ground: GroundFrom::Photo { height: 1.3 },
+        at: At::Ground([3.0, 0.0]),
+        preview_only: true,
+        ..small()
+    };
+    let plain = run(&input, &config).unwrap().record;
+    assert!(plain.warnings.iter().any(|w| w.contains("edges do not tell")), "{:?}", plain.warnings);
+    input.image = root.path().join("room.png");
+    let found = run(&input, &config).unwrap().record;
+    assert!(found.warnings.iter().any(|w| w.contains("from the photo's edges")), "{:?}", found.warnings);
+    let normal: Vec<f64> =
+        serde_json::from_value(found.results["scene"]["upright"]["normal"].clone()).unwrap();
+    let up = camera.camera_from_world().transform_vector3(DVec3::Z);
+    let off = DVec3::from_slice(&normal).angle_between(up).to_degrees();
+    assert!(off < 1.0, "{off}");
+    let corners = [[3.0, 0.6], [3.5, 0.6], [3.8, 1.1], [3.3, 1.1]]
+        .map(|[x, y]| camera.project(DVec3::new(x, y, 0.0)).unwrap().0.to_array());
+    let ground = GroundFrom::Given(Ground::Rectangle { corners, size: Size::Side(1.0) });
+    let askew = run(&input, &Config { ground, ..config }).unwrap().record;
+    assert!(askew.warnings.iter().any(|w| w.contains("59° instead of 90°")), "{:?}", askew.warnings);
 }
 
 /// Goal: the colour of a part is found from files, the light known; a search without a guidance that looks, a part that is

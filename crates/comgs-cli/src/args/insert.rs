@@ -325,3 +325,37 @@ pub(crate) struct InsertEval {
     #[arg(short, long, value_name = "FOLDER")]
     pub output: PathBuf,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Goal: every way to give the ground is read, and what is none is refused by what is expected.
+    #[test]
+    fn planes_are_read() {
+        let corners = [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0], [7.0, 8.0]];
+        let read = [
+            ("auto", Plane::Auto(comgs_pipeline::stages::insert::HEIGHT)),
+            ("auto=1.2", Plane::Auto(1.2)),
+            ("level=2", Plane::Level(2.0)),
+            ("horizon=210,1.6", Plane::Horizon([210.0, 1.6])),
+            ("corners=1,2;3,4;5,6;7,8", Plane::Corners(corners, None)),
+            ("corners=1,2;3,4;5,6;7,8;0.3", Plane::Corners(corners, Some(0.3))),
+            ("0,-1,0,1.5", Plane::Normal([0.0, -1.0, 0.0, 1.5])),
+        ];
+        for (text, expected) in read {
+            assert_eq!(plane(text), Ok(expected), "{text}");
+        }
+        for (text, word) in [
+            ("corners=1,2;3,4;5,6", "four corners"),
+            ("corners=1,2;3,4;5,6;7", "2 numbers"),
+            ("corners=1,2;3,4;5,6;7,8;0", "0"),
+            ("level=-1", "-1"),
+            ("points=1,2,3;4,5,6", "three points"),
+            ("flat", "flat"),
+        ] {
+            let error = plane(text).unwrap_err();
+            assert!(error.contains(word), "{text}: {error}");
+        }
+    }
+}
