@@ -164,7 +164,7 @@ const SCENE_RAYS: usize = 4;
 /// Transmittance from which on (one minus it: up to which) two of them stand for all.
 const AGREED: f32 = 0.98;
 /// Share of the smooth light that must be hidden for it to matter whether the scene hides a strong light too.
-const MATTERS: f32 = 0.01;
+const MATTERS: f32 = 0.03;
 
 /// Largest ratio where objects light the scene: a bright thing in a dark corner.
 const MAX_RATIO: f32 = 8.0;

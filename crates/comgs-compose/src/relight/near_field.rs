@@ -216,24 +216,31 @@ impl NearField {
         q.length() * self.inverse(q) - 1.0
     }
 
+    /// Directions for [`NearField::factor`]: the texels of an octahedral grid, turned.
+    pub(super) fn grid(&self, side: usize, turn: glam::Quat) -> Grid {
+        let texels = octahedral::solid_angles(side).into_iter().enumerate();
+        let texel = |(t, angle): (usize, f32)| {
+            let direction = turn * octahedral::texel_direction(t % side, t / side, side);
+            (direction, angle, self.smooth.radiance(direction, angle))
+        };
+        Grid(texels.map(texel).collect())
+    }
+
     /// What the near field makes of the irradiance of a surface, RGB: irradiance from where the surface is over that of the map
-    /// at infinity, both sums over the same directions and visibilities, so that their coarseness cancels. `seen` gives for
-    /// each texel of a grid of unit `directions` (world) with `solid_angles` the cosine times what of it is open. 1 where
-    /// nothing arrives; in [1/`MAX_FACTOR`, `MAX_FACTOR`].
-    pub(super) fn factor(
-        &self,
-        point: Vec3,
-        directions: &[Vec3],
-        solid_angles: &[f32],
-        seen: impl Fn(usize) -> f32,
-    ) -> Vec3 {
+    /// at infinity, both sums over the same directions and visibilities, so that their coarseness cancels. `open` gives what of
+    /// each texel of the grid is open. 1 where nothing arrives; in [1/`MAX_FACTOR`, `MAX_FACTOR`].
+    pub(super) fn factor(&self, point: Vec3, normal: Vec3, grid: &Grid, open: impl Fn(usize) -> f32) -> Vec3 {
         let from = self.from(point);
         let (mut near, mut far) = (Vec3::ZERO, Vec3::ZERO);
-        for (k, (&direction, &angle)) in directions.iter().zip(solid_angles).enumerate() {
-            let weight = angle * seen(k);
+        for (k, &(direction, angle, radiance)) in grid.0.iter().enumerate() {
+            let cosine = normal.dot(direction);
+            if cosine <= 0.0 {
+                continue;
+            }
+            let weight = angle * cosine * open(k);
             if weight > 0.0 {
                 let (looked, kept) = self.towards(&from, direction);
-                far += weight * self.smooth.radiance(direction, angle);
+                far += weight * radiance;
                 near += weight * kept * self.smooth.radiance(looked, angle);
             }
         }
@@ -243,6 +250,9 @@ impl NearField {
         Vec3::new(channel(near.x, far.x), channel(near.y, far.y), channel(near.z, far.z))
     }
 }
+
+/// Unit directions (world) with their solid angles and the smooth light at infinity.
+pub(super) struct Grid(Vec<(Vec3, f32, Vec3)>);
 
 /// Largest factor, and one over the smallest.
 const MAX_FACTOR: f32 = 16.0;
@@ -306,19 +316,19 @@ mod tests {
         let half = Vec3::splat(1.0);
         let even = EnvironmentMap::constant(Vec3::new(0.2, 0.5, 0.9));
         let field = room(half, Vec3::ZERO, &even);
-        let angles = octahedral::solid_angles(8);
         let grid: Vec<Vec3> = (0..64).map(|k| octahedral::texel_direction(k % 8, k / 8, 8)).collect();
         for d in &grid {
             assert!(field.towards(&field.from(Vec3::ZERO), *d).0.angle_between(*d) < 1e-3);
             assert_eq!(field.towards(&field.from(Vec3::new(1.5, 0.0, 0.0)), *d).0, *d);
         }
-        let up = |k: usize| grid[k].z.max(0.0);
-        let factor = field.factor(Vec3::new(0.5, 0.3, -0.9), &grid, &angles, up);
+        let straight = field.grid(8, glam::Quat::IDENTITY);
+        let factor = field.factor(Vec3::new(0.5, 0.3, -0.9), Vec3::Z, &straight, |_| 1.0);
         assert!((factor - 1.0).abs().max_element() < 1e-5, "{factor}");
         let open = NearField { inverse: vec![0.0; SIDE * SIDE], ..field.clone() };
         assert_eq!(open.towards(&open.from(Vec3::new(0.5, 0.3, 0.0)), Vec3::X).0, Vec3::X);
         let black = room(half, Vec3::ZERO, &EnvironmentMap::constant(Vec3::ZERO));
-        assert_eq!(black.factor(Vec3::ZERO, &grid, &angles, up), Vec3::ONE);
+        let dark = black.grid(8, glam::Quat::IDENTITY);
+        assert_eq!(black.factor(Vec3::ZERO, Vec3::Z, &dark, |_| 1.0), Vec3::ONE);
     }
 
     /// Goal: the irradiance of a floor under a glowing panel of a ceiling falls off to the side as the form factor on paper says
@@ -340,8 +350,8 @@ mod tests {
             }
         }
         let field = room(half, centre, &EnvironmentMap::from_image(&image).unwrap());
-        let angles = octahedral::solid_angles(32);
-        let grid: Vec<Vec3> = (0..32 * 32).map(|k| octahedral::texel_direction(k % 32, k / 32, 32)).collect();
+        // Turned, as the grid of a turned object is.
+        let grid = field.grid(32, glam::Quat::from_rotation_y(0.7));
         let truth = |p: Vec3| {
             let n = 200;
             let mut sum = 0.0;
@@ -356,7 +366,7 @@ mod tests {
         let mut factors = Vec::new();
         for x in [0.0, 0.4, 0.8] {
             let p = Vec3::new(x, 0.2, -0.8);
-            let factor = field.factor(p, &grid, &angles, |k| grid[k].z.max(0.0)).x;
+            let factor = field.factor(p, Vec3::Z, &grid, |_| 1.0).x;
             let expected = truth(p) / at_centre;
             assert!((factor / expected - 1.0).abs() < 0.05, "at {x}: {factor}, on paper {expected}");
             factors.push(factor);

@@ -172,10 +172,7 @@ impl SelfVisibility {
         let left = others.map(|others| others.open(&points)).unwrap_or_default();
         let count = smooth.len();
         let to_world = standing.world_from_object.rotation.as_quat();
-        let grid: Vec<Vec3> = (0..texels)
-            .map(|t| to_world * octahedral::texel_direction(t % self.side, t / self.side, self.side))
-            .collect();
-        let angles = octahedral::solid_angles(self.side);
+        let near = near.map(|near| (near, near.grid(self.side, to_world)));
         let mut ratios: Vec<Vec3> = self
             .open
             .par_chunks_exact(texels)
@@ -199,10 +196,8 @@ impl SelfVisibility {
                         lit += (visible * cosine) * *energy;
                     }
                 }
-                if let Some(near) = near {
-                    let normal = to_world * normal;
-                    let seen = |t: usize| grid[t].dot(normal).max(0.0) * f32::from(open[t]);
-                    lit *= near.factor(points[i], &grid, &angles, seen);
+                if let Some((near, grid)) = &near {
+                    lit *= near.factor(points[i], to_world * normal, grid, |t| f32::from(open[t]));
                 }
                 let point = Vec3::from_array(standing.cloud.positions[i]);
                 let (strong_lit, strong_all) = strong.at(point, normal, self.offset);

@@ -98,7 +98,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     };
     let own = run.time("self-occlusion", || OwnLight::new(&composition, settings))?;
     let sampler = EnvironmentSampler::new(&composition.map);
-    let mut seen = None;
+    let (mut seen, mut near) = (None, None);
     let mut pictures: Vec<Image> = Vec::new();
     let (mut edit_s, mut frame_s) = (0.0, 0.0);
     for (i, pose) in poses.iter().enumerate() {
@@ -113,7 +113,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         }
         let camera = &cameras[i.min(cameras.len() - 1)];
         let start = Instant::now();
-        let ground = Ground::new(&composition, &scene_tracer, &sampler, settings)?;
+        let ground = Ground::with_near(&composition, &scene_tracer, &sampler, settings, near.take())?;
         let mut spent = start.elapsed().as_secs_f64();
         // What one camera sees stays through the whole path.
         if cameras.len() > 1 || seen.is_none() {
@@ -137,6 +137,8 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         write_png(&path, &frame.beauty)?;
         run.output(&path)?;
         pictures.push(frame.beauty);
+        drop(renderer);
+        near = ground.near.map(|(near, _)| near);
     }
     write_gif(&preview, &pictures.iter().collect::<Vec<_>>(), STEP_MS)?;
     run.output(&preview)?;

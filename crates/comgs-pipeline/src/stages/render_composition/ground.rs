@@ -36,6 +36,20 @@ impl<'a> Ground<'a> {
         sampler: &'a EnvironmentSampler,
         settings: &Settings,
     ) -> Result<Self, PipelineError> {
+        Self::with_near(composition, scene_tracer, sampler, settings, None)
+    }
+
+    /// [`Ground::new`] with the near field of an earlier one, which does not depend on where the objects stand.
+    ///
+    /// # Errors
+    /// [`PipelineError`].
+    pub fn with_near(
+        composition: &'a Composition,
+        scene_tracer: &'a Tracer,
+        sampler: &'a EnvironmentSampler,
+        settings: &Settings,
+        known: Option<NearField>,
+    ) -> Result<Self, PipelineError> {
         let mut prepared = Prepared::default();
         let start = Instant::now();
         let light =
@@ -45,8 +59,9 @@ impl<'a> Ground<'a> {
         let near = settings.near_field.then(|| {
             let radius = composition.spheres().iter().map(|s| s.1).fold(f32::INFINITY, f32::min);
             let (centre, split) = (composition.light_centre(), settings.light().split);
-            let near =
-                NearField::new(scene_tracer, centre, NEAR_CLIP * radius, &composition.map, split.as_ref());
+            let near = known.unwrap_or_else(|| {
+                NearField::new(scene_tracer, centre, NEAR_CLIP * radius, &composition.map, split.as_ref())
+            });
             let located = near.located(light.clone());
             (near, located)
         });
