@@ -252,6 +252,20 @@ impl Sweep {
     }
 }
 
+/// Seconds that all threads of this program have spent on a processor so far, where the system tells (Linux): on a machine that
+/// others use too, differences of it are steadier than the clock.
+#[must_use]
+pub fn cpu_seconds() -> Option<f64> {
+    let threads = std::fs::read_dir("/proc/self/task").ok()?;
+    let of = |entry: std::fs::DirEntry| -> Option<f64> {
+        let text = std::fs::read_to_string(entry.path().join("schedstat")).ok()?;
+        text.split_whitespace().next()?.parse::<f64>().ok()
+    };
+    // A thread may end while the list is read.
+    let nanoseconds: Vec<f64> = threads.flatten().filter_map(of).collect();
+    (!nanoseconds.is_empty()).then(|| nanoseconds.iter().sum::<f64>() * 1e-9)
+}
+
 /// What a run was timed on: the processor's name, how many of its cores the program uses, and that others may have used
 /// them too. Never the name of the machine.
 #[must_use]
@@ -321,4 +335,23 @@ fn code(text: &str) -> String {
     let longest = text.split(|c| c != '`').map(str::len).max().unwrap_or(0);
     let fence = "`".repeat(longest + 1);
     if longest == 0 { format!("{fence}{text}{fence}") } else { format!("{fence} {text} {fence}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Goal: the processor's seconds grow with work and not with sleep.
+    #[test]
+    fn processor_seconds_count_work_alone() {
+        let Some(before) = cpu_seconds() else { return };
+        let start = std::time::Instant::now();
+        let mut x = 1.0f64;
+        while start.elapsed().as_millis() < 60 {
+            x = std::hint::black_box(x * 1.000_001 + 1e-9);
+        }
+        let worked = cpu_seconds().unwrap() - before;
+        // Beside other programs less than the clock, but never nothing.
+        assert!(worked > 1e-3, "{worked} {x}");
+    }
 }

@@ -1,25 +1,28 @@
 //! `render --composition`: frames of a composition, with shadows from a cache, objects under its light, and only the
 //! effects that are asked for.
 
+mod bounce;
+mod ground;
+mod seen;
 mod stage;
 
+pub(crate) use ground::Ground;
+pub(crate) use seen::Seen;
 pub use stage::{Config, Input, Output, run, run_planned};
 
+use crate::PipelineError;
 use crate::stages::editing::{
     Baked, Composition, Lighting, OwnLight, RelitObjects, Settings, Shadow, lit_map,
 };
-use crate::{Context, PipelineError, Status};
+use bounce::seen_radiance;
 use comgs_compose::{
-    CacheConfig, CacheStatistics, CameraLook, ComposeConfig, ComposedFrame, Composer, FieldShadow, NearField,
-    ObjectFrame, ObjectShader, ReceiverCloud, SceneFrame, SceneProbeConfig, SceneProbes, ShadowCache,
-    ShadowConfig, ShadowLight, ShadowRatios, ShadowSource, objects,
+    CacheConfig, CacheStatistics, CameraLook, ComposedFrame, Composer, ObjectFrame, ObjectShader,
+    ReceiverCloud, SceneFrame, SceneProbeConfig, SceneProbes, ShadowCache, ShadowRatios, ShadowSource,
 };
 use comgs_geom::Camera;
 use comgs_image::Image;
-use comgs_light::EnvironmentSampler;
-use comgs_probe::{BakeObserver, ProbeSet};
-use comgs_trace::{TraceConfig, Tracer};
-use glam::{DVec3, Vec3};
+use comgs_probe::BakeObserver;
+use glam::Vec3;
 use std::time::Instant;
 
 /// Seconds of preparing a composition, by part.
@@ -55,10 +58,6 @@ impl Prepared {
     }
 }
 
-/// Surfaces nearer to the light's centre than this many radii of the smallest object send it no light of their own: what
-/// floats where the object will stand.
-const NEAR_CLIP: f32 = 0.2;
-
 /// What frames are rendered with: everything that does not depend on the camera.
 pub(crate) struct Renderer<'a> {
     pub composer: &'a Composer<'a>,
@@ -73,147 +72,6 @@ pub(crate) struct Renderer<'a> {
     seed: u64,
     /// Tells frames of one camera apart: the step of a movement.
     pub step: u64,
-}
-
-/// What must outlive a [`Renderer`].
-pub(crate) struct Ground<'a> {
-    pub composer: Composer<'a>,
-    pub light: ShadowLight,
-    /// The near field, and the light with its strong lights where the scene has them.
-    near: Option<(NearField, ShadowLight)>,
-    scene_tracer: &'a Tracer,
-    pub object_tracer: Option<Tracer>,
-    pub probes: Option<ProbeSet>,
-    pub prepared: Prepared,
-}
-
-impl<'a> Ground<'a> {
-    /// Composer, light, probes of the objects.
-    ///
-    /// # Errors
-    /// [`PipelineError`].
-    pub fn new(
-        composition: &'a Composition,
-        scene_tracer: &'a Tracer,
-        sampler: &'a EnvironmentSampler,
-        settings: &Settings,
-    ) -> Result<Self, PipelineError> {
-        let mut prepared = Prepared::default();
-        let start = Instant::now();
-        let light =
-            ShadowLight::new(&composition.map, &composition.lamps, &settings.light()).map_err(|e| {
-                PipelineError::input("the composition's lamps", "lights that can shine", e.to_string())
-            })?;
-        let near = settings.near_field.then(|| {
-            let radius = composition.spheres().iter().map(|s| s.1).fold(f32::INFINITY, f32::min);
-            let (centre, split) = (composition.light_centre(), settings.light().split);
-            let near =
-                NearField::new(scene_tracer, centre, NEAR_CLIP * radius, &composition.map, split.as_ref());
-            let located = near.located(light.clone());
-            (near, located)
-        });
-        prepared.light_s = start.elapsed().as_secs_f64();
-        let start = Instant::now();
-        let traced = settings.shadow == Shadow::Trace && composition.wants_shadow();
-        let shadow =
-            ShadowConfig { rays: settings.shadow_rays(), seed: settings.seed, ..ShadowConfig::default() };
-        let config = ComposeConfig {
-            raster: composition.raster(),
-            shadow: traced.then_some(shadow),
-            ..ComposeConfig::default()
-        };
-        let composer =
-            Composer::new(&composition.scene.surfels, scene_tracer, &composition.placed(), sampler, config)?;
-        let traced = settings.shadow == Shadow::Probes || RelitObjects::wants_tracer(composition, settings);
-        let object_tracer =
-            traced.then(|| Tracer::new(composer.objects(), &TraceConfig::occlusion())).transpose()?;
-        prepared.merge_s = start.elapsed().as_secs_f64();
-        Ok(Self {
-            composer,
-            light,
-            near,
-            scene_tracer,
-            object_tracer,
-            probes: RelitObjects::probes(composition, settings),
-            prepared,
-        })
-    }
-}
-
-impl Ground<'_> {
-    /// The light for some settings, which may do without the near field.
-    fn light_for(&self, settings: &Settings) -> &ShadowLight {
-        self.near.as_ref().filter(|_| settings.near_field).map_or(&self.light, |(_, located)| located)
-    }
-
-    /// The objects' shadow from their fields, past the scene's own.
-    fn field_shadow<'b>(
-        &'b self,
-        composition: &Composition,
-        baked: &'b Baked,
-        settings: &Settings,
-    ) -> FieldShadow<'b> {
-        let smallest = composition.spheres().iter().map(|s| s.1).fold(f32::INFINITY, f32::min);
-        FieldShadow::new(self.light_for(settings), &baked.placed(composition))
-            .with_scene(self.scene_tracer, CLEARANCE * smallest)
-    }
-}
-
-/// Radii of the smallest object within which the scene does not hide a strong light from its own surface, whose surfels lie
-/// about it rather than on it.
-const CLEARANCE: f32 = 0.3;
-
-/// What cameras see of the scene: does not change when objects move.
-#[derive(Default)]
-pub(crate) struct Seen {
-    /// The points of all of them.
-    pub cloud: ReceiverCloud,
-    /// The frame of every camera, as far as memory goes.
-    frames: Vec<Option<SceneFrame>>,
-}
-
-/// Memory for frames of the scene.
-const KEPT_BYTES: usize = 256 << 20;
-
-impl Seen {
-    /// Looks through every camera. `known` are frames that are there already.
-    ///
-    /// # Errors
-    /// [`PipelineError::Cancelled`].
-    pub fn new(
-        composer: &Composer<'_>,
-        cameras: &[Camera],
-        mut known: Vec<SceneFrame>,
-        context: &Context<'_>,
-    ) -> Result<Self, PipelineError> {
-        let (mut seen, mut bytes) = (Self::default(), 0);
-        for (i, camera) in cameras.iter().enumerate() {
-            context.check()?;
-            context.progress.update(&Status {
-                fraction: Some(i as f64 / cameras.len() as f64),
-                message: format!("what camera {} sees", camera.name),
-                remaining: None,
-            });
-            let frame = match known.iter().position(|f| f.camera() == camera) {
-                Some(k) => known.swap_remove(k),
-                None => composer.scene_frame(camera),
-            };
-            seen.cloud.add(camera, frame.receivers());
-            bytes += frame.memory_bytes();
-            seen.frames.push((bytes <= KEPT_BYTES).then_some(frame));
-        }
-        Ok(seen)
-    }
-
-    /// The frame of a camera, by its number, where it was kept; only once.
-    pub fn take(&mut self, camera: usize) -> Option<SceneFrame> {
-        self.frames.get_mut(camera).and_then(Option::take)
-    }
-
-    /// The same, to be used again.
-    pub fn frame(&self, camera: usize) -> Option<&SceneFrame> {
-        self.frames.get(camera).and_then(Option::as_ref)
-    }
 }
 
 /// Which parts of a frame are to be made anew.
@@ -410,60 +268,6 @@ fn scene_probes<'a>(
         Err(comgs_probe::ProbeError::NoPoints(_)) => Ok(None),
         Err(other) => Err(PipelineError::input("scene probes", "probes", other.to_string())),
     }
-}
-
-/// Mean radiance of the objects by direction.
-struct SeenRadiance(Vec<(Vec3, Vec3)>);
-
-impl SeenRadiance {
-    /// Of the nearest direction that was looked in.
-    fn towards(&self, direction: Vec3) -> Vec3 {
-        let nearest = self.0.iter().max_by(|a, b| a.0.dot(direction).total_cmp(&b.0.dot(direction)));
-        nearest.map_or(Vec3::ZERO, |n| n.1)
-    }
-}
-
-/// Width of the pictures that the mean radiance is taken from.
-const SEEN_WIDTH: usize = 24;
-
-/// Looks at the objects from 26 directions.
-fn seen_radiance(
-    composition: &Composition,
-    composer: &Composer<'_>,
-    relit: Option<&RelitObjects<'_>>,
-) -> SeenRadiance {
-    let cloud = composer.objects();
-    let Some((centre, radius)) = objects::bounding_sphere(cloud) else { return SeenRadiance(Vec::new()) };
-    let mut seen = Vec::new();
-    for k in (0..27).filter(|&k| k != 13) {
-        let step = |v: i32| f64::from(v % 3 - 1);
-        let from = DVec3::new(step(k), step(k / 3), step(k / 9)).normalize();
-        let eye = centre.as_dvec3() + from * f64::from(radius) * 6.0;
-        let up = if from.z.abs() > 0.9 { DVec3::X } else { DVec3::Z };
-        let camera = Camera::look_at(
-            "seen",
-            SEEN_WIDTH,
-            SEEN_WIDTH,
-            2.2 * (1.0f64 / 6.0).atan(),
-            eye,
-            centre.as_dvec3(),
-            up,
-        );
-        let raster = composition.raster();
-        let seen_of = relit.and_then(ObjectShader::carrier).unwrap_or(cloud);
-        let frame = comgs_raster::render(seen_of, &camera, comgs_raster::Planes::ALL, &raster);
-        let color = match (relit, &frame.color) {
-            (Some(relit), _) => relit.shade(&camera, &frame),
-            (None, Some(color)) => color.clone(),
-            (None, None) => continue,
-        };
-        let weight: f32 = frame.weight.data.iter().sum();
-        let sum: Vec3 = color.data.chunks_exact(3).map(Vec3::from_slice).sum();
-        if weight > 0.0 {
-            seen.push((-from.as_vec3(), sum / weight));
-        }
-    }
-    SeenRadiance(seen)
 }
 
 /// The cache's knobs, named for the reports.

@@ -8,7 +8,7 @@ use crate::stages::eval::composition::TruthFrames;
 use crate::stages::relight::subject::refused;
 use crate::stages::render_composition::Ground;
 use crate::tradeoff::drive::{Measured, Setting, chosen, drive};
-use crate::tradeoff::{Better, Metric, Sweep, machine};
+use crate::tradeoff::{Better, Metric, Sweep, cpu_seconds, machine};
 use crate::{Context, PipelineError};
 use comgs_compose::{
     Indirect, ObjectShader, RelightConfig, Relighter, SceneFrame, SelfOcclusion, ShadowSource,
@@ -117,8 +117,8 @@ fn settings() -> Vec<Setting<Way>> {
 
 /// Runs all settings and writes one table and one plot; after every run what is done so far.
 ///
-/// Seconds are of what a frame spends on the objects (rendering, shading, ordering), the fastest of some; preparation stands beside
-/// it. Errors: sRGB PSNR of the objects' pixels against many samples of which each is traced, without bounced light (a way with
+/// Seconds are of what a frame spends on the objects (rendering, shading, ordering), the fastest of some; its processor time, a mean,
+/// and the preparation stand beside it. Errors: sRGB PSNR of the objects' pixels against many samples of which each is traced, without bounced light (a way with
 /// bounced light is not compared with it); with ground truth, PSNR of the frame in the true object region, without shadows on the
 /// scene, which lie elsewhere.
 ///
@@ -156,6 +156,7 @@ fn metrics(truth: bool) -> Vec<Metric> {
         out.push(Metric::new("truth_db", "object against truth", "dB", Better::Up, 2));
     }
     out.extend([
+        Metric::new("cpu_ms", "processor time of a frame", "ms", Better::Down, 1),
         Metric::new("shade_ms", "shading of a frame", "ms", Better::Down, 1),
         Metric::new("prepare_s", "preparation", "s", Better::Down, 2),
         Metric::new("own_s", "of it, once an object", "s", Better::Down, 2),
@@ -282,10 +283,12 @@ impl<'a> Bench<'a> {
         let prepare_s = start.elapsed().as_secs_f64();
         let shader = relit.as_ref().map(|r| r as &dyn ObjectShader);
         let (mut frame_s, mut shade_s, mut square, mut counted) = (0.0, 0.0, 0.0f64, 0usize);
-        let mut truth_db = Vec::new();
+        let (mut truth_db, mut cpu_s) = (Vec::new(), 0.0);
+        let repeats = self.config.repeats.max(1);
         for (scene, (reference, mask)) in self.scenes.iter().zip(&self.reference) {
             let (mut best, mut shade, mut object) = (f64::INFINITY, f64::INFINITY, None);
-            for _ in 0..self.config.repeats.max(1) {
+            let cpu = cpu_seconds();
+            for _ in 0..repeats {
                 let start = Instant::now();
                 let made = ground.composer.object_frame(scene, shader);
                 best = best.min(start.elapsed().as_secs_f64());
@@ -293,6 +296,8 @@ impl<'a> Bench<'a> {
                 object = Some(made);
             }
             let Some(object) = object else { continue };
+            // Zero where the system does not tell.
+            cpu_s += cpu.zip(cpu_seconds()).map_or(0.0, |(from, to)| to - from) / repeats as f64;
             let beauty = ground.composer.blend(scene, &object, ShadowSource::Configured).beauty;
             (frame_s, shade_s) = (frame_s + best, shade_s + shade);
             let code = |v: f32| f64::from(srgb_from_linear(v.clamp(0.0, 1.0)));
@@ -315,6 +320,9 @@ impl<'a> Bench<'a> {
             ("prepare_s".to_owned(), prepare_s),
             ("own_s".to_owned(), own_s),
         ]);
+        if cpu_s > 0.0 {
+            values.insert("cpu_ms".to_owned(), 1e3 * cpu_s / n);
+        }
         if counted > 0 && !settings.indirect {
             values.insert("samples_db".to_owned(), -10.0 * (square / counted as f64).log10());
         }
