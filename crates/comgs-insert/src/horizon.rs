@@ -46,8 +46,10 @@ const LONGER_SIDE: usize = 640;
 const SHORTEST: f64 = 0.03;
 /// Most edges that vote, the longest.
 const MOST_EDGES: usize = 400;
-/// How far up may be off the picture's upright: pitch down and up, roll; degrees.
-const PITCH_DEG: [i32; 2] = [-70, 50];
+/// How far up may be off the picture's upright: pitch down and up, roll; degrees. Three directions that are square to each other tell
+/// not which of them is up: of a camera that looks 25° down, the direction ahead would be up for one that looks 65° up. Photos of a
+/// ground look down more than up.
+const PITCH_DEG: [i32; 2] = [-70, 35];
 const ROLL_DEG: i32 = 30;
 /// Step of the first look, degrees.
 const STEP_DEG: i32 = 3;
@@ -59,8 +61,9 @@ const REFINED_DEG: [f64; 3] = [2.5, 1.5, 1.0];
 const CANDIDATES: usize = 24;
 /// Cells of the azimuth's histogram over its quarter turn.
 const AZIMUTHS: usize = 45;
-/// Votes of edges that could be of any direction: rolled cameras are rarer than level ones.
+/// Share of the votes that a camera loses which is rolled, or tilted, as far as may be: between looks that explain as much.
 const ROLL_PENALTY: f64 = 0.1;
+const PITCH_PENALTY: f64 = 0.05;
 
 /// What [`Upright::is_sure`] asks for. Of 24 photos of a room and a garden whose cameras are known, answers that were wrong by more than
 /// 3° explained at most 36 % of their edges' length, and all but one that explained more than 42 % were right to 1.2°.
@@ -140,8 +143,9 @@ pub fn upright_of(edges: &[Segment], camera: &Camera) -> Option<Upright> {
     let best = looks
         .iter()
         .take(CANDIDATES)
-        .map(|(_, axes)| {
-            let axes = REFINED_DEG.iter().fold(*axes, |axes, d| refined(&votes, axes, d.to_radians()));
+        .map(|(_, axes)| REFINED_DEG.iter().fold(*axes, |axes, d| refined(&votes, axes, d.to_radians())))
+        .filter(|axes| may_be_up(axes.z_axis))
+        .map(|axes| {
             let sum: f64 = votes
                 .iter()
                 .map(|v| v.weight * belongs(nearest(v, &axes).1, REFINED_DEG[2].to_radians()))
@@ -159,10 +163,22 @@ fn up_of(pitch: f64, roll: f64) -> DVec3 {
     DMat3::from_rotation_z(roll) * DVec3::new(0.0, -c, s)
 }
 
-/// Prefers less roll between looks that explain as much.
+/// Pitch and roll of the camera whose up it is, each as a share of the most there may be.
+fn tilt(up: DVec3) -> [f64; 2] {
+    let pitch = up.z.clamp(-1.0, 1.0).asin().to_degrees();
+    let most = f64::from(if pitch < 0.0 { PITCH_DEG[0] } else { PITCH_DEG[1] }).abs();
+    [pitch.abs() / most, up.x.atan2(-up.y).to_degrees().abs() / f64::from(ROLL_DEG)]
+}
+
+/// Whether a direction that was refined is still one that up may have.
+fn may_be_up(up: DVec3) -> bool {
+    tilt(up).iter().all(|share| *share <= 1.1)
+}
+
+/// Prefers less tilt between looks that explain as much.
 fn upright_bonus(up: DVec3) -> f64 {
-    let roll = up.x.atan2(-up.y).to_degrees() / f64::from(ROLL_DEG);
-    1.0 - ROLL_PENALTY * roll * roll
+    let [pitch, roll] = tilt(up);
+    1.0 - PITCH_PENALTY * pitch * pitch - ROLL_PENALTY * roll * roll
 }
 
 /// Axes: two level directions, `azimuth` from where the camera looks, and up.
