@@ -118,7 +118,7 @@ pub(crate) struct TradeoffRelight {
 #[command(after_help = "\
 Examples:
   comgs tradeoff reconstruct photos/cow -o docs/tradeoff
-  comgs tradeoff reconstruct photos/cow --iterations 300 --knobs iterations,width --assets /tmp/cows -o out
+  comgs tradeoff reconstruct photos/cow --iterations 300 --knobs iterations,width --assets cows -o out
   comgs tradeoff reconstruct photos/cow --knobs quality -o out")]
 pub(crate) struct TradeoffReconstruct {
     /// Any capture
