@@ -1,4 +1,5 @@
-"""Writes the trained guidance network as a bundle for `comgs insert --guidance lds`: guide.onnx and model.json."""
+"""Writes the trained guidance network as a bundle for `comgs insert --guidance lds`: guide.onnx (its weights in half
+precision, computed with in single) and model.json."""
 
 import argparse
 import json
@@ -10,6 +11,7 @@ import torch
 from blake3 import blake3
 
 import model as m
+from latent_bundle import halved, rounded
 
 
 def main():
@@ -19,10 +21,10 @@ def main():
     a = p.parse_args()
     net = m.Guide()
     net.load_state_dict(torch.load(a.checkpoint, weights_only=True)["model"])
-    net.eval()
+    rounded(net.eval())
     os.makedirs(a.output, exist_ok=True)
     path = os.path.join(a.output, "guide.onnx")
-    s, c = m.SIZE, len(m.CONDITION)
+    s, c = m.SIZE, m.CONDITION
     example = (torch.zeros(1, 3, s, s), torch.ones(1), torch.zeros(1, c, s, s), torch.ones(1, 1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -30,7 +32,9 @@ def main():
             net, example, path, opset_version=17, dynamo=False, do_constant_folding=True,
             input_names=["noisy", "time", "condition", "flag"], output_names=["clean"],
         )
-    onnx.checker.check_model(onnx.load(path))
+    graph = halved(onnx.load(path))
+    onnx.checker.check_model(graph)
+    onnx.save(graph, path)
     port = lambda name, *shape: {"name": name, "shape": list(shape)}
     term = lambda context: {
         "graph": "guide", "context": context, "sample": port("noisy", 1, 3, s, s), "time": port("time", 1),
@@ -40,19 +44,19 @@ def main():
         "format": "comgs-guidance",
         "version": 1,
         "name": "comgs-guide",
-        "about": "Tells an insertion that is lit as its photo is from one that is lit somehow; trained by scripts/insert.",
+        "about": "Answers a noisy insertion with it, or with how it would be lit as its photo is; trained by scripts/insert.",
         "licence": "MIT OR Apache-2.0",
         "resolution": [s, s],
-        "condition": ["photo", "mask", "normal"],
+        "condition": list(m.PLANES),
         "schedule": {
             "timesteps": m.TIMESTEPS, "betas": {"kind": "squared_cosine"}, "prediction": "x0", "spacing": "leading",
         },
         "time_scale": 1 / m.TIMESTEPS,
-        "base": term("somehow"),
+        "base": term("as it is"),
         "personalised": term("right"),
         "contexts": {
             "right": {"prompt": "lit as the photo is", "shape": [1, 1], "values": [1.0]},
-            "somehow": {"prompt": "", "shape": [1, 1], "values": [0.0]},
+            "as it is": {"prompt": "", "shape": [1, 1], "values": [0.0]},
         },
         "graphs": {"guide": {"file": "guide.onnx", "blake3": blake3(open(path, "rb").read()).hexdigest()}},
     }

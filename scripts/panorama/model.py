@@ -5,10 +5,17 @@ from the constants here.
 """
 
 import math
+import os
+import sys
+from functools import partial
 
 import torch
 import torch.nn.functional as F
 from torch import nn
+
+sys.path.append(os.path.join(os.path.dirname(os.path.abspath(__file__)), ".."))
+import network  # noqa: E402
+from network import angles, squared_cosine  # noqa: E402
 
 HEIGHT, WIDTH = 64, 128
 #: Radiance is divided by the level of what was seen, so that its geometric mean becomes this.
@@ -50,11 +57,8 @@ def decode(code, dual=True):
 
 
 def alphas_bar():
-    """Cumulative signal share of each step: squared cosine (Nichol & Dhariwal 2021) with nothing left at the last."""
-    t = torch.arange(1, TIMESTEPS + 1, dtype=torch.float64) / TIMESTEPS
-    bar = torch.cos(0.5 * math.pi * (t + 0.008) / 1.008) ** 2 / math.cos(0.5 * math.pi * 0.008 / 1.008) ** 2
-    bar = (bar - bar[-1]) / (bar[0] - bar[-1]) * bar[0]
-    return bar.float()
+    """Cumulative signal share of each step, with nothing left at the last."""
+    return squared_cosine(TIMESTEPS, to_zero=True)
 
 
 def pad(x):
@@ -86,33 +90,8 @@ def pull_push(value, weight, levels=6):
     return fill
 
 
-class Conv(nn.Module):
-    def __init__(self, inputs, outputs, stride=1, zero=False):
-        super().__init__()
-        self.conv = nn.Conv2d(inputs, outputs, 3, stride)
-        if zero:
-            nn.init.zeros_(self.conv.weight)
-            nn.init.zeros_(self.conv.bias)
-
-    def forward(self, x):
-        return self.conv(pad(x))
-
-
-class Block(nn.Module):
-    """Pre-activated residual block; the time and what is known of the whole map scale and shift its features."""
-
-    def __init__(self, inputs, outputs, context):
-        super().__init__()
-        self.norm1, self.conv1 = nn.GroupNorm(8, inputs), Conv(inputs, outputs)
-        self.norm2, self.conv2 = nn.GroupNorm(8, outputs), Conv(outputs, outputs, zero=True)
-        self.film = nn.Linear(context, 2 * outputs)
-        self.skip = nn.Conv2d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
-
-    def forward(self, x, context):
-        h = self.conv1(F.silu(self.norm1(x)))
-        scale, shift = self.film(context)[:, :, None, None].chunk(2, 1)
-        h = self.norm2(h) * (1 + scale) + shift
-        return self.skip(x) + self.conv2(F.silu(h))
+#: Convolutions and blocks on the sphere.
+Conv, Block = partial(network.Conv, pad=pad), partial(network.Block, pad=pad)
 
 
 class Completer(nn.Module):
@@ -145,8 +124,7 @@ class Completer(nn.Module):
         base = torch.exp(pull_push(torch.log((torch.exp(log) - 1).clamp(min=0) + 0.01), known)) - 0.01
         base = encode(base, self.dual)
         x = torch.cat([noisy, condition, base], 1)
-        angle = time[:, None] * torch.tensor([0.5, 1.0, 2.0, 4.0], dtype=time.dtype) * math.pi
-        context = self.time(torch.cat([torch.sin(angle), torch.cos(angle)], 1))
+        context = self.time(angles(time))
         h0 = self.down0(self.stem(x), context)
         h1 = self.to1(h0)
         for block in self.down1:

@@ -23,35 +23,14 @@ from torch import nn
 
 from export import blake3
 
+sys.path.append(os.path.join(os.path.dirname(os.path.abspath(__file__)), ".."))
+from latent import plain  # noqa: E402
+
 WIDTH, HEIGHT, FACTOR, SCALING = 128, 64, 8, 0.18215
 TOKENS, TEXT = 5, 12
 STEPS = 4
 SCHEDULE = dict(num_train_timesteps=1000, beta_start=0.00085, beta_end=0.012, beta_schedule="scaled_linear",
                 prediction_type="v_prediction", timestep_spacing="trailing", rescale_betas_zero_snr=True)
-
-
-class PlainAttention:
-    """Attention in products and a softmax. The plain processor of `diffusers` adds an empty matrix of the size of the scores, which
-    becomes a constant of the graph (2 GB at 1024 x 512); the fused one is not for every runtime."""
-
-    def __call__(self, attn, hidden_states, encoder_hidden_states=None, attention_mask=None, temb=None):
-        assert attention_mask is None and attn.spatial_norm is None
-        x, residual = hidden_states, hidden_states
-        shape = x.shape
-        if len(shape) == 4:
-            x = x.flatten(2).transpose(1, 2)
-        if attn.group_norm is not None:
-            x = attn.group_norm(x.transpose(1, 2)).transpose(1, 2)
-        context = x if encoder_hidden_states is None else encoder_hidden_states
-        heads = lambda v: v.unflatten(2, (attn.heads, -1)).transpose(1, 2)
-        q, k, v = heads(attn.to_q(x)), heads(attn.to_k(context)), heads(attn.to_v(context))
-        weights = torch.softmax(q @ k.transpose(2, 3) * attn.scale, 3)
-        x = attn.to_out[0]((weights @ v).transpose(1, 2).flatten(2))
-        if len(shape) == 4:
-            x = x.transpose(1, 2).reshape(shape)
-        if attn.residual_connection:
-            x = x + residual
-        return x / attn.rescale_output_factor
 
 
 class Encoder(nn.Module):
@@ -111,9 +90,7 @@ def write_bundle(folder, name, vae, denoisers, space, embeddings, licence="rando
     channels = {"sample": 4, "masked_latent": 4, "normal_latent": 4, "mask": 1, "normal": 3}
     picture, latent = torch.zeros(1, 3, HEIGHT, WIDTH), torch.zeros(1, 4, h, w)
     for module in [vae, *denoisers.values()]:
-        for part in module.modules():
-            if hasattr(part, "set_attn_processor"):
-                part.set_attn_processor(PlainAttention())
+        plain(module)
     graphs = {
         "encoder": export(Encoder(vae), f"{folder}/encoder.onnx", {"picture": picture}, {"latent": latent}),
         "decoder": export(Decoder(vae), f"{folder}/decoder.onnx", {"latent": latent}, {"picture": picture}),

@@ -321,7 +321,9 @@ fn run_demo(a: &args::Demo, context: &Context<'_>) -> anyhow::Result<()> {
     let config = demo::Config { quality: a.quality.into(), seed: a.seed, ..demo::Config::default() };
     let made = demo::run(&input, &config, context)?;
     for evaluation in
-        [Some(&made.object), Some(&made.scene), made.compose.evaluation.as_ref()].into_iter().flatten()
+        [Some(&made.object), Some(&made.scene), made.compose.evaluation.as_ref(), Some(&made.relit_scores)]
+            .into_iter()
+            .flatten()
     {
         say!("{}", evaluation.to_text());
     }
@@ -329,6 +331,7 @@ fn run_demo(a: &args::Demo, context: &Context<'_>) -> anyhow::Result<()> {
     say!("  {}", made.compose.report.display());
     say!("  {}", made.compose.frames.display());
     say!("  {}", a.output.join("composed").join("preview.gif").display());
+    say!("  {}", made.relit.frames.display());
     say!("  {}", made.hero.display());
     Ok(())
 }

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! with `E_k` the energy of the smooth light's directions, `O_j` the field of object j (their visibilities multiply), and
-//! b the small strong lights and lamps, to which a few rays are traced. Numerator and denominator use the same terms, so S
+//! b the small strong lights and lamps, to which a few rays are traced, past the scene too where that is given. Numerator and denominator use the same terms, so S
 //! is in [0, 1] whatever the light.
 
 use crate::occlusion_field::{FieldConfig, FieldError, OcclusionField, grid};
@@ -155,7 +155,16 @@ pub struct FieldShadow<'a> {
     objects: Vec<PlacedField<'a>>,
     /// `[object][direction]`: mean radiance of the object as it is seen in that direction; empty without bounced light.
     radiance: Vec<Vec<Vec3>>,
+    /// The scene, and how far its own surface is left before it counts, world units.
+    scene: Option<(&'a Tracer, f32)>,
 }
+
+/// Rays to a strong light by which the scene's own shadow is found.
+const SCENE_RAYS: usize = 4;
+/// Transmittance from which on (one minus it: up to which) two of them stand for all.
+const AGREED: f32 = 0.98;
+/// Share of the smooth light that must be hidden for it to matter whether the scene hides a strong light too.
+const MATTERS: f32 = 0.03;
 
 /// Largest ratio where objects light the scene: a bright thing in a dark corner.
 const MAX_RATIO: f32 = 8.0;
@@ -169,7 +178,7 @@ impl<'a> FieldShadow<'a> {
     #[must_use]
     pub fn new(light: &'a ShadowLight, objects: &[(&'a Caster, Similarity)]) -> Self {
         let objects = objects.iter().map(|(f, s)| PlacedField::new(f, s, light)).collect();
-        Self { light, objects, radiance: Vec::new() }
+        Self { light, objects, radiance: Vec::new(), scene: None }
     }
 
     /// With the light that the objects throw back on the scene: where an object hides light, it is seen instead, with its
@@ -181,6 +190,46 @@ impl<'a> FieldShadow<'a> {
         self.radiance =
             (0..self.objects.len()).map(|j| directions.iter().map(|&d| radiance(j, d)).collect()).collect();
         self
+    }
+
+    /// With the shadows that the scene casts on itself: a strong light that the scene hides from a point (by rays that start
+    /// `clearance` away from it) cannot be hidden once more. Smooth light is taken to reach every point.
+    #[must_use]
+    pub fn with_scene(mut self, scene: &'a Tracer, clearance: f32) -> Self {
+        self.scene = Some((scene, clearance));
+        self
+    }
+
+    /// Share of a strong light that the scene lets through to a point.
+    fn past_scene(&self, point: Vec3, normal: Vec3, beam: &Beam) -> f32 {
+        let Some((scene, clearance)) = self.scene else { return 1.0 };
+        if beam.is_empty() {
+            return 1.0;
+        }
+        let (Beam::Parallel { directions: list, .. } | Beam::Points { positions: list, .. }) = beam;
+        let rays = list.len().min(SCENE_RAYS);
+        let origin = point + 0.25 * clearance * normal;
+        let through = |k: usize| {
+            let to = list[k * list.len() / rays];
+            let (direction, distance) = match beam {
+                Beam::Parallel { .. } => (to, f32::INFINITY),
+                // A lamp that is part of the scene does not hide itself.
+                Beam::Points { .. } => {
+                    ((to - origin).normalize_or(normal), (to - origin).length() - clearance)
+                }
+            };
+            if distance > clearance {
+                scene.transmittance(origin, direction, clearance, distance)
+            } else {
+                1.0
+            }
+        };
+        // Most points see all of it or nothing.
+        let first = [through(0), through(rays - 1)];
+        if first.iter().all(|t| *t > AGREED) || first.iter().all(|t| *t < 1.0 - AGREED) {
+            return 0.5 * (first[0] + first[1]);
+        }
+        (0..rays).map(through).sum::<f32>() / rays as f32
     }
 
     /// Smooth light that is hidden from every point of a chunk.
@@ -232,19 +281,19 @@ impl<'a> FieldShadow<'a> {
         light.map(|(d, &e)| e * normal.dot(*d).max(0.0)).sum()
     }
 
-    /// Light of the strong lights that would arrive, and what of it is hidden, by rays.
-    fn strong_light(&self, point: Vec3, normal: Vec3) -> (Vec3, Vec3) {
+    /// Light of the strong lights that would arrive, and what of it is hidden, by rays. Whether the scene itself hides it is
+    /// asked where anything at all is hidden (`any`, or here); elsewhere it makes no difference.
+    fn strong_light(&self, point: Vec3, normal: Vec3, any: bool) -> (Vec3, Vec3) {
         let (mut lit, mut hidden) = (Vec3::ZERO, Vec3::ZERO);
-        let mut add = |towards: Vec3, light: Vec3, t_max: f32| {
-            let cosine = normal.dot(towards);
-            if cosine <= 0.0 {
-                return;
-            }
-            lit += light * cosine;
-            let t: f32 = self.objects.iter().map(|o| o.transmittance(point, towards, t_max)).product();
-            hidden += light * (cosine * (1.0 - t));
-        };
         for beam in &self.light.beams {
+            let (mut beam_lit, mut beam_hidden) = (Vec3::ZERO, Vec3::ZERO);
+            let mut add = |towards: Vec3, light: Vec3, t_max: f32| {
+                let cosine = normal.dot(towards);
+                if cosine > 0.0 {
+                    beam_lit += light * cosine;
+                    beam_hidden += light * (cosine * (1.0 - self.transmittance(point, towards, t_max)));
+                }
+            };
             match beam {
                 Beam::Parallel { directions, irradiance } => {
                     let each = *irradiance / directions.len().max(1) as f32;
@@ -264,8 +313,55 @@ impl<'a> FieldShadow<'a> {
                     }
                 }
             }
+            if beam_lit != Vec3::ZERO && (any || beam_hidden != Vec3::ZERO) {
+                let open = self.past_scene(point, normal, beam);
+                beam_lit *= open;
+                beam_hidden *= open;
+            }
+            lit += beam_lit;
+            hidden += beam_hidden;
         }
         (lit, hidden)
+    }
+}
+
+/// What the objects hide of single lights, for whoever sums them otherwise.
+impl FieldShadow<'_> {
+    /// `[point][direction]`: share in 255ths of the smooth light's directions that reaches a point past all objects.
+    #[must_use]
+    pub fn open(&self, points: &[Vec3]) -> Vec<u8> {
+        let count = self.light.directions.len();
+        let mut out = vec![255; points.len() * count];
+        if count == 0 {
+            return out;
+        }
+        out.par_chunks_mut(count).zip(points).with_min_len(CHUNK).for_each(|(out, point)| {
+            for object in &self.objects {
+                let p = *point - object.centre;
+                for ((k, out), towards) in out.iter_mut().enumerate().zip(&self.light.directions) {
+                    let along = p.dot(*towards);
+                    let reach = 1.1 * object.radius;
+                    if along >= reach || p.length_squared() - along * along >= reach * reach {
+                        continue;
+                    }
+                    let lookup = &object.directions[k];
+                    let (x, y, t) = lookup.place(p);
+                    if x.abs() < 1.1 && y.abs() < 1.1 && t < 1.0 {
+                        let projection = object.field.projection(lookup.projection);
+                        let res = object.field.config().resolution;
+                        let visible = 1.0 - OcclusionField::occlusion_at(projection, res, x, y, t);
+                        *out = (f32::from(*out) * visible.clamp(0.0, 1.0)).round() as u8;
+                    }
+                }
+            }
+        });
+        out
+    }
+
+    /// Traced transmittance of a world ray of unit direction past all objects.
+    #[must_use]
+    pub fn transmittance(&self, origin: Vec3, direction: Vec3, t_max: f32) -> f32 {
+        self.objects.iter().map(|o| o.transmittance(origin, direction, t_max)).product()
     }
 }
 
@@ -286,12 +382,14 @@ impl ShadowRatios for FieldShadow<'_> {
                 let mut hidden = [Vec3::ZERO; CHUNK];
                 self.smooth_hidden(points, normals, &mut hidden[..points.len()]);
                 for (i, out) in out.iter_mut().enumerate() {
-                    let (strong, strong_hidden) = self.strong_light(points[i], normals[i]);
+                    let smooth = self.smooth_irradiance(normals[i]);
+                    let any = (hidden[i].abs() - MATTERS * smooth).max_element() > 0.0;
+                    let (strong, strong_hidden) = self.strong_light(points[i], normals[i], any);
                     let hidden = hidden[i] + strong_hidden;
                     if hidden == Vec3::ZERO {
                         continue;
                     }
-                    let lit = self.smooth_irradiance(normals[i]) + strong;
+                    let lit = smooth + strong;
                     let most = if self.radiance.is_empty() { 1.0 } else { MAX_RATIO };
                     let channel = |hidden: f32, lit: f32| {
                         if lit < DARK { 1.0 } else { (1.0 - hidden / lit).clamp(0.0, most) }

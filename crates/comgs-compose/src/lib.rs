@@ -10,10 +10,11 @@
 //! directions and strong lights, [`field_shadow`] the ratio of any point from the two, [`shadow_cache`] the ratio where
 //! frames need it; [`scene_probes`] is the paper's way.
 //!
-//! [`relight`] shows a decomposed object under another light.
+//! [`relight`] shows a decomposed object under another light; [`camera_look`] gives a frame the defocus and noise of photos.
 //!
 //! Nothing here knows the command line; only [`layers`] and [`relight::write_relit_layers`] write files.
 
+pub mod camera_look;
 pub mod denoise;
 pub mod field_shadow;
 pub mod frame;
@@ -30,6 +31,7 @@ pub mod shadow;
 pub mod shadow_cache;
 pub mod shadow_light;
 
+pub use camera_look::{CameraLook, Defocus, Noise};
 pub use denoise::{AtrousConfig, Denoise};
 pub use field_shadow::{Caster, FieldShadow, ShadowRatios};
 pub use frame::{ComposeConfig, ComposeError, ComposedFrame, Composer, ObjectShader, ShadowSource};
@@ -39,8 +41,8 @@ pub use over::Ordering;
 pub use placement::{PlacementConfig, PlacementReport, check_placement};
 pub use receivers::Receivers;
 pub use relight::{
-    CachedRelighter, Heuristic, Indirect, Mirror, RelightConfig, RelightError, Relighter, RelitFrame,
-    SelfOcclusion, SelfVisibility, Standing,
+    CachedRelighter, Heuristic, Indirect, Mirror, NearField, RelightConfig, RelightError, Relighter,
+    RelitFrame, SelfOcclusion, SelfVisibility, Standing,
 };
 pub use scene_frame::{ObjectFrame, SceneFrame};
 pub use scene_probes::{Density, SceneProbeConfig, SceneProbes};

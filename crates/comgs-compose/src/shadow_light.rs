@@ -86,6 +86,16 @@ pub enum Beam {
     },
 }
 
+impl Beam {
+    /// Whether there is no ray to trace.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        match self {
+            Self::Parallel { directions: rays, .. } | Self::Points { positions: rays, .. } => rays.is_empty(),
+        }
+    }
+}
+
 /// Where a strong light is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StrongFrom {

@@ -3,9 +3,10 @@
 use crate::tone::{CurveGradient, Curves};
 use crate::transport::{Foreground, Shadow};
 use comgs_image::Image;
+use serde::{Deserialize, Serialize};
 
 /// A part of an image in pixels: `x0 ≤ x < x1`, `y0 ≤ y < y1`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Crop {
     /// First column.
     pub x0: usize,

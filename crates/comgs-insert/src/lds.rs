@@ -155,6 +155,10 @@ impl<'a> Distillation<'a> {
                     let normal = &self.foreground.normal;
                     data.extend(planar(&Resampling::new(crop, normal, w, h).shrink(normal)));
                 }
+                Plane::Albedo => {
+                    let albedo = &self.foreground.albedo;
+                    data.extend(planar(&Resampling::new(crop, albedo, w, h).shrink(albedo).map(coded)));
+                }
             }
         }
         Some(Tensor::f32(&port.shape, data))

@@ -1,15 +1,19 @@
 //! `insert` and its benchmark from files to files: what is written, kept, refused and said.
 
+use comgs_geom::Camera;
 use comgs_image::{Image, read, write_exr, write_png};
-use comgs_insert::ground::Ground;
+use comgs_insert::ground::{Ground, Size};
 use comgs_insert::material::Property;
 use comgs_insert::optimise::Curves;
 use comgs_insert::render::Samples;
 use comgs_insert::session::LightKind;
 use comgs_insert::tone::Response;
-use comgs_pipeline::stages::insert::{self, At, CameraFrom, Config, Filled, GuidedBy, Input, MaterialChoice};
+use comgs_pipeline::stages::insert::{
+    self, At, CameraFrom, Config, Filled, GroundFrom, GuidedBy, Input, MaterialChoice,
+};
 use comgs_pipeline::stages::insert_eval;
 use comgs_pipeline::{CancelToken, Context, PipelineError, Silent};
+use glam::DVec3;
 use std::path::{Path, PathBuf};
 
 /// A tent of four faces, as an OBJ with y up: half a metre wide and high.
@@ -41,7 +45,7 @@ fn files(folder: &Path) -> Input {
 fn small() -> Config {
     Config {
         camera: CameraFrom::Fov(50.0),
-        ground: Ground::Horizon { row: 17.0, height: 1.2 },
+        ground: GroundFrom::Given(Ground::Horizon { row: 17.0, height: 1.2 }),
         at: At::Ground([4.0, 0.0]),
         iterations: 120,
         light: LightKind::Gaussians(24),
@@ -180,7 +184,10 @@ fn bad_input() {
     assert!(with(&|_, c| c.at = At::Pixel([300.0, 10.0])).contains("72×48"));
     assert!(with(&|_, c| c.at = At::Ground([-3.0, 0.0])).contains("behind the camera"));
     assert!(with(&|_, c| c.at = At::Ground([2.0, 9.0])).contains("frame"));
-    assert!(with(&|_, c| c.ground = Ground::Horizon { row: 17.0, height: -1.0 }).contains("positive height"));
+    assert!(
+        with(&|_, c| c.ground = GroundFrom::Given(Ground::Horizon { row: 17.0, height: -1.0 }))
+            .contains("positive height")
+    );
     assert!(with(&|_, c| c.camera = CameraFrom::Fov(190.0)).contains("170 degrees"));
     assert!(with(&|_, c| c.scale = Some(-1.0)).contains("--scale"));
     assert!(with(&|_, c| c.light_height = 7).contains("--light-height"));
@@ -227,6 +234,7 @@ fn the_benchmark() {
     std::fs::create_dir(&maps).unwrap();
     let input = |maps: &Path| insert_eval::Input {
         maps: maps.to_owned(),
+        model: None,
         output: root.path().join("eval"),
         command: "comgs insert-eval maps".into(),
     };
@@ -235,6 +243,7 @@ fn the_benchmark() {
         samples: Samples { grid: 2, light: 24, shadow: 48, depth: 2 },
         iterations: 30,
         light_height: 16,
+        count: 1,
         ..insert_eval::Config::default()
     };
     let text = insert_eval::run(&input(&maps), &config, &Context::silent()).unwrap_err().to_string();
@@ -243,16 +252,112 @@ fn the_benchmark() {
     for x in 20..24 {
         map.pixel_mut(x, 8).copy_from_slice(&[40.0, 38.0, 30.0]);
     }
-    write_exr(&maps.join("a.exr"), &map).unwrap();
+    write_exr(&maps.join("city.exr"), &map).unwrap();
     let made = insert_eval::run(&input(&maps), &config, &Context::silent()).unwrap();
     let of = |name: &str| made.rows.iter().find(|r| r.method.contains(name)).unwrap().touched;
     assert!(of("true map").rmse_srgb < 0.5 * of("even").rmse_srgb);
     assert!(of("true map").ssim > of("even").ssim);
     let table = std::fs::read_to_string(&made.table).unwrap();
     assert!(table.contains("| even light |") && table.contains("comgs insert-eval maps"));
+    let there = |name: &str| root.path().join("eval").join(name);
+    assert!(there("sheet.png").is_file() && there("insert_eval.csv").is_file());
+    assert!(made.rows.iter().all(|r| !r.unseen));
+
+    // A further map leaves the first one's results as they are; stopped after some of its methods, it goes on from there.
+    let changed = |name: &str| std::fs::metadata(there(name)).unwrap().modified().unwrap();
+    let first = changed("city_panorama.png");
+    write_exr(&maps.join("mine.exr"), &map.map(|v| 0.7 * v)).unwrap();
+    let stopping = Stopping { token: CancelToken::default(), at: "mine, map 2 of 2, panorama" };
+    let context = Context { progress: &stopping, cancel: stopping.token.clone() };
+    let error = insert_eval::run(&input(&maps), &config, &context).unwrap_err();
+    let text = error.to_string();
+    assert!(matches!(error, PipelineError::Cancelled { .. }) && text.contains("1 of 2 maps"), "{text}");
+    let second = changed("mine_even_light.png");
+    assert!(!there("mine_panorama.png").exists() && !there("run.json").exists());
+    let made = insert_eval::run(&input(&maps), &config, &Context::silent()).unwrap();
+    assert_eq!((changed("city_panorama.png"), changed("mine_even_light.png")), (first, second));
+    assert_eq!(made.rows.iter().filter(|r| r.unseen).count(), made.rows.len() / 2);
+    let table = std::fs::read_to_string(&made.table).unwrap();
     assert!(
-        root.path().join("eval/sheet.png").is_file() && root.path().join("eval/insert_eval.csv").is_file()
+        table.contains("2 maps: all maps") && table.contains("1 maps: maps that it never saw"),
+        "{table}"
     );
+    // A picture that was changed is made again; another seed makes all of it again.
+    std::fs::write(there("mine_even_light.png"), b"damaged").unwrap();
+    insert_eval::run(&input(&maps), &config, &Context::silent()).unwrap();
+    assert!(changed("mine_even_light.png") > second && changed("city_panorama.png") == first);
+    insert_eval::run(&input(&maps), &insert_eval::Config { seed: 1, ..config }, &Context::silent()).unwrap();
+    assert!(changed("city_panorama.png") > first);
+}
+
+/// Asks for a stop when it hears of something.
+struct Stopping {
+    token: CancelToken,
+    at: &'static str,
+}
+
+impl comgs_pipeline::Progress for Stopping {
+    fn begin(&self, _: &str) {}
+    fn update(&self, status: &comgs_pipeline::Status) {
+        if status.message.starts_with(self.at) {
+            self.token.cancel();
+        }
+    }
+    fn end(&self, _: &str) {}
+    fn note(&self, _: &str) {}
+    fn warn(&self, _: &str) {}
+}
+
+/// Goal: without a plane the ground is asked of the photo: a tiled room tells it, a plain photo does not and is said not to; corners
+/// whose sides are not square are remarked on.
+#[test]
+fn the_ground_by_the_photo() {
+    let root = tempfile::tempdir().unwrap();
+    let mut input = files(root.path());
+    let (w, h) = (300, 200);
+    let mut camera = Camera::look_at("photo", w, h, 1.0, DVec3::Z * 1.3, DVec3::new(3.0, 1.0, 0.3), DVec3::Z);
+    camera.world_from_camera.matrix3 *= glam::DMat3::from_rotation_z(0.09);
+    let mut photo = Image::zeros(w, h, 3);
+    for y in 0..h {
+        for x in 0..w {
+            let mut sum = 0.0;
+            for k in 0..9 {
+                let (u, v) = ((k % 3) as f64 / 3.0 + 0.17, (k / 3) as f64 / 3.0 + 0.17);
+                let ray = camera.ray_world(x as f64 + u, y as f64 + v);
+                let (floor, wall) = (-1.3 / ray.z, 5.0 / ray.x);
+                let tile = |a: f64, b: f64| f64::from(((a.floor() + b.floor()) as i64).rem_euclid(2) as u8);
+                sum += if ray.z < 0.0 && floor < wall {
+                    0.3 + 0.3 * tile(ray.x * floor / 0.6, ray.y * floor / 0.6)
+                } else {
+                    0.2 + 0.2 * tile(ray.y * wall / 0.9, (1.3 + ray.z * wall) / 0.9)
+                };
+            }
+            photo.pixel_mut(x, y).copy_from_slice(&[(sum / 9.0) as f32; 3]);
+        }
+    }
+    write_png(&root.path().join("room.png"), &photo).unwrap();
+    let config = Config {
+        camera: CameraFrom::Fov(1.0f64.to_degrees()),
+        ground: GroundFrom::Photo { height: 1.3 },
+        at: At::Ground([3.0, 0.0]),
+        preview_only: true,
+        ..small()
+    };
+    let plain = run(&input, &config).unwrap().record;
+    assert!(plain.warnings.iter().any(|w| w.contains("edges do not tell")), "{:?}", plain.warnings);
+    input.image = root.path().join("room.png");
+    let found = run(&input, &config).unwrap().record;
+    assert!(found.warnings.iter().any(|w| w.contains("from the photo's edges")), "{:?}", found.warnings);
+    let normal: Vec<f64> =
+        serde_json::from_value(found.results["scene"]["upright"]["normal"].clone()).unwrap();
+    let up = camera.camera_from_world().transform_vector3(DVec3::Z);
+    let off = DVec3::from_slice(&normal).angle_between(up).to_degrees();
+    assert!(off < 1.0, "{off}");
+    let corners = [[3.0, 0.6], [3.5, 0.6], [3.8, 1.1], [3.3, 1.1]]
+        .map(|[x, y]| camera.project(DVec3::new(x, y, 0.0)).unwrap().0.to_array());
+    let ground = GroundFrom::Given(Ground::Rectangle { corners, size: Size::Side(1.0) });
+    let askew = run(&input, &Config { ground, ..config }).unwrap().record;
+    assert!(askew.warnings.iter().any(|w| w.contains("59° instead of 90°")), "{:?}", askew.warnings);
 }
 
 /// Goal: the colour of a part is found from files, the light known; a search without a guidance that looks, a part that is

@@ -24,6 +24,9 @@ pub struct CompositionRecord {
     pub objects: Vec<ObjectRecord>,
     /// Light at the placement: an equirectangular HDR image.
     pub light: Option<String>,
+    /// Where it was taken, world; the middle of the objects when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub light_at: Option<[f64; 3]>,
     /// Lights that are added to it, none in most compositions.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lamps: Vec<LampRecord>,
@@ -197,6 +200,7 @@ mod tests {
                 similarity: s.into(),
             }],
             light: Some("env.exr".into()),
+            light_at: Some([0.5, -1.0, 0.75]),
             lamps: Vec::new(),
             effects: EffectPolicy { shadow: ShadowPolicy::Traced },
             cameras: "cameras.json".into(),

@@ -57,6 +57,10 @@ pub(crate) struct Editing {
     #[arg(long, value_enum, default_value = "on")]
     pub self_occlusion: Switch,
 
+    /// Light from the scene's surfaces where they are, instead of a map infinitely far away
+    #[arg(long, value_enum, default_value = "off")]
+    pub near_field: Switch,
+
     /// Light that bounces between the objects' surfaces
     #[arg(long, value_enum, default_value = "off")]
     pub indirect: Switch,
@@ -64,6 +68,10 @@ pub(crate) struct Editing {
     /// Light that the objects throw back on the scene
     #[arg(long, value_enum, default_value = "off")]
     pub bounce: Switch,
+
+    /// Photos of the scene (its capture): give the objects their defocus and the frames their noise
+    #[arg(long, value_name = "DIR")]
+    pub photos: Option<PathBuf>,
 
     /// Point on the curve of time against error [default: balanced; with a budget, the finest that fits]
     #[arg(long, value_enum)]
@@ -159,6 +167,10 @@ pub(crate) struct Plan {
     /// Time for reading, preparation and all frames (10s)
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub budget: Option<f64>,
+
+    /// Photos of the scene (its capture), whose defocus and noise frames may call for
+    #[arg(long, value_name = "DIR")]
+    pub photos: Option<PathBuf>,
 
     /// Point on the curve of time against error [default: balanced; with a budget, the finest that fits]
     #[arg(long, value_enum)]

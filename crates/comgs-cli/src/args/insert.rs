@@ -15,6 +15,7 @@ use std::path::PathBuf;
 Examples:
   comgs insert --image photo.jpg --object car.glb --preview -o out
   comgs insert --image photo.jpg --object car.glb --camera fov=50 --plane horizon=210,1.6 --pixel 300,400 -o out
+  comgs insert --image photo.jpg --object car.glb --plane 'corners=120,400;310,395;420,460;60,470;1.2' -o out
   comgs insert --image photo.jpg --object kettle.asset --scale 0.3 --guidance reference=painted.png -o out
   comgs insert --image photo.jpg --object car.glb --guidance reference=painted.png --material paint:albedo,roughness -o out
   comgs insert --image photo.jpg --object car.glb --guidance lds --model bundle -o out
@@ -32,8 +33,9 @@ pub(crate) struct Insert {
     #[arg(long, value_name = "fov=DEG|FILE", value_parser = camera)]
     pub camera: Option<CameraArgument>,
 
-    /// Ground: `auto`, `nx,ny,nz,d` (camera space, y down), `horizon=ROW,HEIGHT`, or
-    /// `points=X,Y,DEPTH;X,Y,DEPTH;X,Y,DEPTH`
+    /// Ground: `auto[=HEIGHT]` (up by the photo's edges, a level camera where they do not tell; 1.6 m above), `level=HEIGHT`,
+    /// `horizon=ROW,HEIGHT`, `corners=X,Y;X,Y;X,Y;X,Y[;SIDE]` (a rectangle of the ground in order around it, with the length of its
+    /// first side), `points=X,Y,DEPTH;X,Y,DEPTH;X,Y,DEPTH`, or `nx,ny,nz,d` (camera space, y down)
     #[arg(long, value_name = "PLANE", default_value = "auto", value_parser = plane, allow_hyphen_values = true)]
     pub plane: Plane,
 
@@ -150,10 +152,14 @@ fn camera(text: &str) -> Result<CameraArgument, String> {
 /// The ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Plane {
-    Auto,
+    /// By the photo, at a height.
+    Auto(f64),
+    Level(f64),
     Normal([f64; 4]),
     Horizon([f64; 2]),
     Points([[f64; 3]; 3]),
+    /// With the length of the first side.
+    Corners([[f64; 2]; 4], Option<f64>),
 }
 
 fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
@@ -167,7 +173,31 @@ fn pair(text: &str) -> Result<[f64; 2], String> {
 
 fn plane(text: &str) -> Result<Plane, String> {
     if text == "auto" {
-        return Ok(Plane::Auto);
+        return Ok(Plane::Auto(comgs_pipeline::stages::insert::HEIGHT));
+    }
+    if let Some(rest) = text.strip_prefix("auto=") {
+        return Ok(Plane::Auto(positive(rest)?));
+    }
+    if let Some(rest) = text.strip_prefix("level=") {
+        return Ok(Plane::Level(positive(rest)?));
+    }
+    if let Some(rest) = text.strip_prefix("corners=") {
+        let parts: Vec<&str> = rest.split(';').collect();
+        let (corners, side) = match parts.as_slice() {
+            [corners @ .., side] if corners.len() == 4 => (corners, Some(positive(side)?)),
+            corners if corners.len() == 4 => (corners, None),
+            other => {
+                return Err(format!(
+                    "expected four corners with semicolons, perhaps the first side's length after them, got {} parts",
+                    other.len()
+                ));
+            }
+        };
+        let mut out = [[0.0; 2]; 4];
+        for (to, corner) in out.iter_mut().zip(corners) {
+            *to = numbers(corner)?;
+        }
+        return Ok(Plane::Corners(out, side));
     }
     if let Some(rest) = text.strip_prefix("horizon=") {
         return Ok(Plane::Horizon(numbers(rest)?));
@@ -258,11 +288,14 @@ pub(crate) enum ResponseArgument {
 /// Measure how well light is found from one photo
 ///
 /// Cuts a photo out of each environment map, puts an object on a known ground, and compares insertions under the light that
-/// each method finds with the insertion under the map itself (the benchmark of DiPIR's Table 2).
+/// each method finds with the insertion under the map itself (the benchmark of DiPIR's Table 2). Every result is kept as it is
+/// made: a run that was stopped goes on with the same command, and one with --model adds the row of score distillation. Maps that
+/// the shipped completer never saw are marked and have a table of their own.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   comgs insert-eval hdri -o out/insert_eval
+  comgs insert-eval hdri --model bundle -o out/insert_eval
   comgs insert-eval hdri/sky.exr -o out/sky")]
 pub(crate) struct InsertEval {
     /// Folder of environment maps (.exr, .hdr), or one map
@@ -271,6 +304,14 @@ pub(crate) struct InsertEval {
     /// Maps taken, evenly spread over the folder
     #[arg(long, default_value_t = 11)]
     pub count: usize,
+
+    /// Further maps at most, of those that the shipped completer never saw
+    #[arg(long, default_value_t = 11)]
+    pub unseen: usize,
+
+    /// Guidance bundle, for a row of score distillation
+    #[arg(long, value_name = "DIR")]
+    pub model: Option<PathBuf>,
 
     /// Iterations of a fit
     #[arg(long, default_value_t = 600)]
@@ -283,4 +324,38 @@ pub(crate) struct InsertEval {
     /// Output folder
     #[arg(short, long, value_name = "FOLDER")]
     pub output: PathBuf,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Goal: every way to give the ground is read, and what is none is refused by what is expected.
+    #[test]
+    fn planes_are_read() {
+        let corners = [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0], [7.0, 8.0]];
+        let read = [
+            ("auto", Plane::Auto(comgs_pipeline::stages::insert::HEIGHT)),
+            ("auto=1.2", Plane::Auto(1.2)),
+            ("level=2", Plane::Level(2.0)),
+            ("horizon=210,1.6", Plane::Horizon([210.0, 1.6])),
+            ("corners=1,2;3,4;5,6;7,8", Plane::Corners(corners, None)),
+            ("corners=1,2;3,4;5,6;7,8;0.3", Plane::Corners(corners, Some(0.3))),
+            ("0,-1,0,1.5", Plane::Normal([0.0, -1.0, 0.0, 1.5])),
+        ];
+        for (text, expected) in read {
+            assert_eq!(plane(text), Ok(expected), "{text}");
+        }
+        for (text, word) in [
+            ("corners=1,2;3,4;5,6", "four corners"),
+            ("corners=1,2;3,4;5,6;7", "2 numbers"),
+            ("corners=1,2;3,4;5,6;7,8;0", "0"),
+            ("level=-1", "-1"),
+            ("points=1,2,3;4,5,6", "three points"),
+            ("flat", "flat"),
+        ] {
+            let error = plane(text).unwrap_err();
+            assert!(error.contains(word), "{text}: {error}");
+        }
+    }
 }

@@ -28,8 +28,11 @@ fn settings(a: &args::Editing) -> Settings {
         },
         rays: None,
         self_occlusion: on(a.self_occlusion),
+        near_field: on(a.near_field),
         indirect: on(a.indirect),
         bounce: on(a.bounce),
+        defocus: a.photos.is_some(),
+        noise: a.photos.is_some(),
         near_only: false,
         seed: a.seed,
     }
@@ -50,6 +53,7 @@ pub(super) fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Res
             composition: composition.clone(),
             cameras: a.cameras.clone(),
             cache: a.cache.clone(),
+            photos: a.editing.photos.clone(),
         };
         let limits = plan::Limits {
             tolerance: a.tolerance.unwrap_or(plan::TOLERANCE),
@@ -64,6 +68,7 @@ pub(super) fn run_render(a: &args::Render, context: &Context<'_>) -> anyhow::Res
     let input = render_composition::Input {
         composition: composition.clone(),
         cameras: a.cameras.clone(),
+        photos: a.editing.photos.clone(),
         cache: a.cache.clone(),
         output: a.output.clone(),
     };
@@ -88,6 +93,7 @@ pub(super) fn run_plan(a: &args::Plan, context: &Context<'_>) -> anyhow::Result<
         composition: a.composition.clone(),
         cameras: a.cameras.clone(),
         cache: a.cache.clone(),
+        photos: a.photos.clone(),
     };
     let quality = a.quality.unwrap_or(args::Quality::Balanced).into();
     let settings = Settings { quality, seed: a.seed, ..Settings::default() };
@@ -102,6 +108,7 @@ pub(super) fn run_animate(a: &args::Animate, context: &Context<'_>) -> anyhow::R
         composition: a.composition.clone(),
         path: a.path.clone(),
         cameras: a.cameras.clone(),
+        photos: a.editing.photos.clone(),
         cache: a.cache.clone(),
         output: a.output.clone(),
     };

@@ -2,13 +2,13 @@
 
 use crate::args::{self, CameraArgument, GuidanceArgument, Plane};
 use crate::output::say;
-use comgs_insert::ground::Ground;
+use comgs_insert::ground::{Ground, Size};
 use comgs_insert::optimise::Curves;
 use comgs_insert::render::Samples;
 use comgs_insert::session::LightKind;
 use comgs_insert::tone::Response;
 use comgs_pipeline::Context;
-use comgs_pipeline::stages::insert::{self, At, CameraFrom, Filled, GuidedBy, MaterialChoice};
+use comgs_pipeline::stages::insert::{self, At, CameraFrom, Filled, GroundFrom, GuidedBy, MaterialChoice};
 
 impl From<args::ResponseArgument> for Response {
     fn from(response: args::ResponseArgument) -> Self {
@@ -19,9 +19,6 @@ impl From<args::ResponseArgument> for Response {
     }
 }
 
-/// Height of the camera that `--plane auto` takes: a person's eyes.
-const EYE_HEIGHT: f64 = 1.6;
-
 pub(super) fn run(a: &args::Insert, context: &Context<'_>) -> anyhow::Result<()> {
     let (camera, camera_file) = match &a.camera {
         None => (CameraFrom::Photo, None),
@@ -29,10 +26,15 @@ pub(super) fn run(a: &args::Insert, context: &Context<'_>) -> anyhow::Result<()>
         Some(CameraArgument::File(path)) => (CameraFrom::File, Some(path.clone())),
     };
     let ground = match a.plane {
-        Plane::Auto => Ground::Level { height: EYE_HEIGHT },
-        Plane::Normal([x, y, z, d]) => Ground::Plane { normal: [x, y, z], distance: d },
-        Plane::Horizon([row, height]) => Ground::Horizon { row, height },
-        Plane::Points(points) => Ground::Points(points),
+        Plane::Auto(height) => GroundFrom::Photo { height },
+        Plane::Level(height) => GroundFrom::Given(Ground::Level { height }),
+        Plane::Normal([x, y, z, d]) => GroundFrom::Given(Ground::Plane { normal: [x, y, z], distance: d }),
+        Plane::Horizon([row, height]) => GroundFrom::Given(Ground::Horizon { row, height }),
+        Plane::Points(points) => GroundFrom::Given(Ground::Points(points)),
+        Plane::Corners(corners, side) => {
+            let size = side.map_or(Size::Height(insert::HEIGHT), Size::Side);
+            GroundFrom::Given(Ground::Rectangle { corners, size })
+        }
     };
     let (guidance, reference) = match &a.guidance {
         GuidanceArgument::Panorama => (GuidedBy::Panorama, None),

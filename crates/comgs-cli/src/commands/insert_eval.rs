@@ -8,12 +8,18 @@ use comgs_pipeline::stages::insert_eval;
 pub(super) fn run(a: &args::InsertEval, context: &Context<'_>) -> anyhow::Result<()> {
     let config = insert_eval::Config {
         count: a.count,
+        unseen: a.unseen,
         iterations: a.iterations,
         seed: a.seed,
         ..insert_eval::Config::default()
     };
-    let command = format!("comgs insert-eval {} --count {}", name(&a.maps), a.count);
-    let input = insert_eval::Input { maps: a.maps.clone(), output: a.output.clone(), command };
+    let mut command =
+        format!("comgs insert-eval {} --count {} --unseen {}", name(&a.maps), a.count, a.unseen);
+    if let Some(model) = &a.model {
+        command.push_str(&format!(" --model {}", name(model)));
+    }
+    let (maps, model) = (a.maps.clone(), a.model.clone());
+    let input = insert_eval::Input { maps, model, output: a.output.clone(), command };
     let made = insert_eval::run(&input, &config, context)?;
     write(format_args!("{}", std::fs::read_to_string(&made.table)?));
     say!("{}", made.table.display());

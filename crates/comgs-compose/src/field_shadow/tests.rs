@@ -219,3 +219,32 @@ fn bounced_light_balances_what_is_hidden() {
     let red = of(Vec3::new(0.8, 0.1, 0.1));
     assert!(red.x > red.y + 0.1 && red.y == red.z);
 }
+
+/// Goal: a floor that a table shades from a lamp is not shaded once more by what stands on the table; the table's top is, as
+/// before; and light that does not come from the lamp is hidden as before.
+#[test]
+fn what_the_scene_shades_is_not_shaded_twice() {
+    let cloud = ball();
+    let field = caster(&cloud);
+    let mut table = SurfelCloud::empty(0, ColorEncoding::Linear);
+    for k in 0..40 * 40 {
+        table.positions.push([(k % 40) as f32 * 0.1 - 1.95, (k / 40) as f32 * 0.1 - 1.95, 0.0]);
+        table.rotations.push([1.0, 0.0, 0.0, 0.0]);
+        table.log_scales.push([0.1f32.ln(); 2]);
+        table.opacity_logits.push(logit(0.99));
+        table.sh.extend([0.0; 3]);
+    }
+    let scene = Tracer::new(&table, &TraceConfig::occlusion()).unwrap();
+    let map = EnvironmentMap::constant(Vec3::splat(0.05));
+    let sun = Lamp::Directional { direction: Vec3::Z, irradiance: Vec3::splat(3.0), angular_radius: 0.005 };
+    let light = light(&map, &[sun]);
+    let place = at(DVec3::new(0.0, 0.0, 0.6), 1.0, DQuat::IDENTITY);
+    let plain = FieldShadow::new(&light, &[(&field, place)]);
+    let aware = FieldShadow::new(&light, &[(&field, place)]).with_scene(&scene, 0.1);
+    let points = [Vec3::ZERO, Vec3::new(0.0, 0.0, -1.0), Vec3::new(1.5, 0.0, 0.0)];
+    let (before, after) = (plain.ratios(&points, &[Vec3::Z; 3]), aware.ratios(&points, &[Vec3::Z; 3]));
+    assert!(before[0].x < 0.1 && (before[0] - after[0]).abs().max_element() < 1e-3, "{before:?} {after:?}");
+    // Below, only the even light's share is left: the ball as a disc of 0.5 at 1.6 hides about a tenth of it.
+    assert!(before[1].x < 0.1 && (0.85..0.95).contains(&after[1].x), "{before:?} {after:?}");
+    assert!((before[2] - after[2]).abs().max_element() < 0.02, "{before:?} {after:?}");
+}

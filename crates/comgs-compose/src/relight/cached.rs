@@ -13,8 +13,8 @@
 //!   the point (one lookup a direction; a ray without probes).
 
 use super::points::{self, Point};
-use super::{RelightConfig, RelightError, SelfVisibility, Standing, SurfelLight};
-use crate::ShadowRatios;
+use super::{NearField, RelightConfig, RelightError, SelfVisibility, Standing, SurfelLight};
+use crate::FieldShadow;
 use crate::shadow_light::ShadowLight;
 use comgs_geom::sampling::hammersley;
 use comgs_geom::{Camera, Similarity};
@@ -76,6 +76,7 @@ pub struct CachedRelighter<'a> {
     light: MipLight,
     carrier: SurfelCloud,
     hidden: Hidden<'a>,
+    near: Option<NearField>,
     /// Directions of the highlight at most.
     samples: u32,
 }
@@ -86,17 +87,18 @@ impl<'a> CachedRelighter<'a> {
     /// * `objects`: where each stands and what it hides from itself, in the order in which they were merged; empty without
     ///   self-occlusion
     /// * `shadow_light`: the light as directions and strong lights (lamps included); `map`: all of it as the objects see it
-    /// * `others`: for each object the shadow ratios of the other objects, where there are such; they multiply its own,
-    ///   which darkens twice what two objects hide of the same light
+    /// * the last of each object: the shadow of the other objects under `shadow_light`, where there are such
+    /// * `near`: what the scene's nearness makes of the light; applied where `objects` are given
     ///
     /// # Errors
     /// [`RelightError`]: no material, a configuration out of range, surfels that `objects` do not add up to.
     pub fn new(
         cloud: &SurfelCloud,
-        objects: &[(Standing<'_>, &SelfVisibility, Option<&dyn ShadowRatios>)],
+        objects: &[(Standing<'_>, &SelfVisibility, Option<&FieldShadow<'_>>)],
         shadow_light: &ShadowLight,
         map: &EnvironmentMap,
         mirror: Mirror<'a>,
+        near: Option<NearField>,
         config: &RelightConfig,
     ) -> Result<Self, RelightError> {
         super::check(cloud, config)?;
@@ -104,15 +106,7 @@ impl<'a> CachedRelighter<'a> {
         let middle = objects.iter().map(|o| o.0.middle()).sum::<Vec3>() / objects.len().max(1) as f32;
         let mut lights: Vec<SurfelLight> = Vec::new();
         for (standing, own, others) in objects {
-            let mut made = own.light(standing, shadow_light, &light, middle);
-            if let Some(others) = others {
-                let points = standing.points();
-                for (ratio, other) in
-                    made.ratios.iter_mut().zip(others.ratios(&points, &own.world_normals(standing)))
-                {
-                    *ratio *= other;
-                }
-            }
+            let made = own.light(standing, shadow_light, &light, middle, *others, near.as_ref());
             lights.push(made);
         }
         let count: usize = lights.iter().map(|l| l.ratios.len()).sum();
@@ -145,7 +139,8 @@ impl<'a> CachedRelighter<'a> {
         } else {
             lights.into_iter().flat_map(|l| l.ratios).collect()
         };
-        Ok(Self { light, carrier: carrier(cloud, &ratios), hidden, samples: config.highlight_rays.max(1) })
+        let carrier = carrier(cloud, &ratios);
+        Ok(Self { light, carrier, hidden, near, samples: config.highlight_rays.max(1) })
     }
 
     /// The cloud whose colours are the ratios: what frames are to be rendered of, all planes.
@@ -200,6 +195,7 @@ impl<'a> CachedRelighter<'a> {
             }
             _ => None,
         };
+        let from = self.near.as_ref().map(|field| field.from(point.position));
         let mut sum = Vec3::ZERO;
         for s in 0..samples {
             let Some(direction) =
@@ -212,7 +208,13 @@ impl<'a> CachedRelighter<'a> {
             if !(density > 0.0) {
                 continue;
             }
-            let mut radiance = self.light.radiance(direction, 1.0 / density);
+            let mut radiance = match (&self.near, &from) {
+                (Some(field), Some(from)) => {
+                    let (looked, kept) = field.towards(from, direction);
+                    kept * self.light.radiance(looked, 1.0 / density)
+                }
+                _ => self.light.radiance(direction, 1.0 / density),
+            };
             match (&self.hidden, &near) {
                 (Hidden::Probes { set, glow, .. }, Some((near, turn))) => {
                     let hidden = set.lookup(near, *turn * direction)[3].clamp(0.0, 1.0);
@@ -241,7 +243,7 @@ impl Standing<'_> {
     }
 
     /// Surfels' centres, world.
-    fn points(&self) -> Vec<Vec3> {
+    pub(super) fn points(&self) -> Vec<Vec3> {
         let to_world =
             |p: &[f32; 3]| self.world_from_object.transform_point(Vec3::from_array(*p).as_dvec3()).as_vec3();
         self.cloud.positions.iter().map(to_world).collect()

@@ -3,10 +3,12 @@
 //! It belongs to the object as its occlusion field does: made once, it serves any place, turn and size and any light, whose
 //! sums ([`SelfVisibility::light`]) cost neither a ray (but for small strong lights) nor a lookup of probes.
 
+use super::strong::Strong;
 use super::surroundings::{Around, Probes, Surroundings};
-use super::{RelightConfig, RelightError};
+use super::{NearField, RelightConfig, RelightError};
+use crate::FieldShadow;
 use crate::objects::bounding_sphere;
-use crate::shadow_light::{Beam, ShadowLight};
+use crate::shadow_light::ShadowLight;
 use comgs_geom::sampling::{cosine_hemisphere, hammersley};
 use comgs_geom::{Similarity, frame, octahedral};
 use comgs_light::MipLight;
@@ -23,10 +25,6 @@ const TRACED_SIDE: usize = 12;
 const FAINT: f32 = 0.02;
 /// Rays of a probe that find what it is lit by.
 const BOUNCE_RAYS: u32 = 16;
-/// Rays to a strong light of which the rest are taken to do as they do, when these agree.
-const FIRST_RAYS: usize = 4;
-/// Transmittance from which on (one minus it: up to which) rays agree.
-const AGREED: f32 = 0.98;
 /// Largest ratio: near a lamp, or beside a bright part of the object in a dark place.
 const MAX_RATIO: f32 = 16.0;
 
@@ -130,12 +128,6 @@ impl SelfVisibility {
         Ok(out)
     }
 
-    /// Unit outward normals of the surfels, world.
-    pub(super) fn world_normals(&self, standing: &Standing<'_>) -> Vec<Vec3> {
-        let to_world = standing.world_from_object.rotation.as_quat();
-        self.normals.iter().map(|n| to_world * *n).collect()
-    }
-
     /// Bytes of it.
     #[must_use]
     pub fn memory_bytes(&self) -> usize {
@@ -147,11 +139,13 @@ impl SelfVisibility {
     /// The light of every surfel where the object stands:
     ///
     /// ```text
-    /// ratio = (Σ_k E_k cos⁺_k (1 − O_k) + Σ_b E_b cos⁺_b T_b) / (Σ_k E_k cos⁺_k + Σ_b E′_b cos⁺_b) + E_bounced / E_open
+    /// ratio = (N Σ_k E_k cos⁺_k (1 − O_k) + Σ_b E_b cos⁺_b T_b) / (Σ_k E_k cos⁺_k + Σ_b E′_b cos⁺_b) + E_bounced / E_open
     /// ```
     ///
     /// with the smooth light's directions k, strong lights b (T traced; E′ of a lamp as `middle` sees it, so that the ratio
-    /// carries how near it is), and the irradiance `base` of the open surface. Nothing but sums when the light changes.
+    /// carries how near it is), and the irradiance `base` of the open surface. `others` hides light too: visibilities
+    /// multiply direction by direction. N is what the near field makes of the smooth light
+    /// ([`NearField`], 1 without). Nothing but sums when the light changes.
     ///
     /// Deterministic at any thread count. Not differentiable. Reference: [`super::Relighter`] at many samples.
     #[must_use]
@@ -161,6 +155,8 @@ impl SelfVisibility {
         light: &ShadowLight,
         base: &MipLight,
         middle: Vec3,
+        others: Option<&FieldShadow<'_>>,
+        near: Option<&NearField>,
     ) -> SurfelLight {
         let to_own = standing.world_from_object.rotation.inverse().as_quat();
         let smooth: Vec<(Vec3, Vec3, octahedral::Footprint)> = light
@@ -169,8 +165,14 @@ impl SelfVisibility {
             .zip(&light.energy)
             .map(|(d, e)| (to_own * *d, *e, octahedral::footprint(to_own * *d, self.side)))
             .collect();
-        let strong = Strong::new(light, standing, middle);
+        let strong = Strong::new(light, standing, middle, others);
         let texels = self.side * self.side;
+        let points = standing.points();
+        // What the other objects leave open, `[surfel][direction]`.
+        let left = others.map(|others| others.open(&points)).unwrap_or_default();
+        let count = smooth.len();
+        let to_world = standing.world_from_object.rotation.as_quat();
+        let near = near.map(|near| (near, near.grid(self.side, to_world)));
         let mut ratios: Vec<Vec3> = self
             .open
             .par_chunks_exact(texels)
@@ -182,15 +184,20 @@ impl SelfVisibility {
                 }
                 let normal = self.normals[i];
                 let (mut lit, mut all) = (Vec3::ZERO, Vec3::ZERO);
-                for (direction, energy, footprint) in &smooth {
+                let left = left.get(i * count..(i + 1) * count);
+                for (k, (direction, energy, footprint)) in smooth.iter().enumerate() {
                     let cosine = normal.dot(*direction);
                     if cosine > 0.0 {
                         let tap =
                             |k: usize| footprint.weights[k] * f32::from(open[footprint.texels[k] as usize]);
-                        let visible = ((tap(0) + tap(1)) + (tap(2) + tap(3))) * (1.0 / 255.0);
+                        let own = ((tap(0) + tap(1)) + (tap(2) + tap(3))) * (1.0 / 255.0);
+                        let visible = left.map_or(own, |left| own * f32::from(left[k]) * (1.0 / 255.0));
                         all += cosine * *energy;
                         lit += (visible * cosine) * *energy;
                     }
+                }
+                if let Some((near, grid)) = &near {
+                    lit *= near.factor(points[i], to_world * normal, grid, |t| f32::from(open[t]));
                 }
                 let point = Vec3::from_array(standing.cloud.positions[i]);
                 let (strong_lit, strong_all) = strong.at(point, normal, self.offset);
@@ -275,90 +282,4 @@ fn bounce_hits(set: &ProbeSet, tracer: &Tracer, offset: f32) -> Vec<(u32, f32)> 
             })
         })
         .collect()
-}
-
-/// Strong lights in an object's own space.
-struct Strong<'a> {
-    tracer: &'a Tracer,
-    beams: Vec<OwnBeam>,
-}
-
-struct OwnBeam {
-    /// Unit directions, or positions, own space.
-    towards: Vec<Vec3>,
-    is_near: bool,
-    /// Irradiance of a surface that faces it from the middle of the objects, per ray.
-    each: Vec3,
-    /// Unit directions to it from the middle.
-    from_middle: Vec<Vec3>,
-    /// Distance from the middle, own units; 1 for parallel light.
-    distance: f32,
-}
-
-impl<'a> Strong<'a> {
-    fn new(light: &ShadowLight, standing: &Standing<'a>, middle: Vec3) -> Self {
-        let own = standing.world_from_object.inverse();
-        let turn = own.rotation.as_quat();
-        let middle_own = own.transform_point(middle.as_dvec3()).as_vec3();
-        let beams = light.beams.iter().map(|beam| match beam {
-            Beam::Parallel { directions, irradiance } => {
-                let towards: Vec<Vec3> = directions.iter().map(|d| turn * *d).collect();
-                let each = *irradiance / directions.len().max(1) as f32;
-                OwnBeam { from_middle: towards.clone(), towards, is_near: false, each, distance: 1.0 }
-            }
-            Beam::Points { positions, intensity } => {
-                let towards: Vec<Vec3> =
-                    positions.iter().map(|p| own.transform_point(p.as_dvec3()).as_vec3()).collect();
-                let mean = positions.iter().sum::<Vec3>() / positions.len().max(1) as f32;
-                let world = (mean - middle).length().max(1e-6);
-                let each = *intensity / (world * world * positions.len().max(1) as f32);
-                OwnBeam {
-                    from_middle: towards.iter().map(|p| (*p - middle_own).normalize_or(Vec3::Z)).collect(),
-                    towards,
-                    is_near: true,
-                    each,
-                    distance: world * own.scale as f32,
-                }
-            }
-        });
-        Self { tracer: standing.tracer, beams: beams.collect() }
-    }
-
-    /// Light that arrives, and light that would arrive from the middle's point of view if nothing were hidden.
-    fn at(&self, point: Vec3, normal: Vec3, offset: f32) -> (Vec3, Vec3) {
-        let (mut lit, mut all) = (Vec3::ZERO, Vec3::ZERO);
-        let origin = point + offset * normal;
-        for beam in &self.beams {
-            all += beam.each * beam.from_middle.iter().map(|d| normal.dot(*d).max(0.0)).sum::<f32>();
-            let ray = |towards: Vec3| -> Option<(f32, Vec3, f32)> {
-                let (direction, distance) = if beam.is_near {
-                    let way = towards - origin;
-                    let length = way.length().max(1e-9);
-                    (way / length, length)
-                } else {
-                    (towards, f32::INFINITY)
-                };
-                let near = if beam.is_near { (beam.distance / distance).powi(2) } else { 1.0 };
-                let cosine = normal.dot(direction);
-                (cosine > 0.0).then_some((near * cosine, direction, distance))
-            };
-            let trace = |(_, direction, distance): (f32, Vec3, f32)| {
-                self.tracer.transmittance(origin, direction, 0.0, distance)
-            };
-            let rays: Vec<_> = beam.towards.iter().filter_map(|t| ray(*t)).collect();
-            let first: Vec<f32> = (0..rays.len().min(FIRST_RAYS))
-                .map(|k| trace(rays[k * rays.len() / FIRST_RAYS.min(rays.len())]))
-                .collect();
-            let agreed = rays.len() > FIRST_RAYS
-                && (first.iter().all(|t| *t >= AGREED) || first.iter().all(|t| *t <= 1.0 - AGREED));
-            let sum = if agreed {
-                let mean = first.iter().sum::<f32>() / first.len() as f32;
-                mean * rays.iter().map(|r| r.0).sum::<f32>()
-            } else {
-                rays.iter().map(|r| r.0 * trace(*r)).sum()
-            };
-            lit += sum * beam.each;
-        }
-        (lit, all)
-    }
 }

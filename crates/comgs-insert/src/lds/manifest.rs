@@ -111,6 +111,8 @@ pub enum Plane {
     Mask,
     /// Its normals, world space (x ahead, y left, z up), 0 where it is not; 3.
     Normal,
+    /// Its base colour, coded as the picture, −1 where it is not; 3.
+    Albedo,
 }
 
 impl Plane {

@@ -23,6 +23,8 @@ pub struct Input {
     pub path: PathBuf,
     /// Cameras instead of the composition's: one for all steps, or one a step.
     pub cameras: Option<PathBuf>,
+    /// Photos of the scene whose defocus and noise frames are to have.
+    pub photos: Option<PathBuf>,
     /// Folder of occlusion fields.
     pub cache: Option<PathBuf>,
     /// Output folder.
@@ -61,6 +63,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     let settings = &config.settings;
     let mut composition =
         Composition::load(&input.composition, input.cameras.as_deref(), |text| run.warn(context, text))?;
+    composition.match_photos(input.photos.as_deref(), context)?;
     let poses = poses(input, &composition)?;
     let cameras = std::mem::take(&mut composition.cameras);
     if cameras.len() != 1 && cameras.len() != poses.len() {
@@ -95,7 +98,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     };
     let own = run.time("self-occlusion", || OwnLight::new(&composition, settings))?;
     let sampler = EnvironmentSampler::new(&composition.map);
-    let mut seen = None;
+    let (mut seen, mut near) = (None, None);
     let mut pictures: Vec<Image> = Vec::new();
     let (mut edit_s, mut frame_s) = (0.0, 0.0);
     for (i, pose) in poses.iter().enumerate() {
@@ -110,7 +113,7 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         }
         let camera = &cameras[i.min(cameras.len() - 1)];
         let start = Instant::now();
-        let ground = Ground::new(&composition, &scene_tracer, &sampler, settings)?;
+        let ground = Ground::with_near(&composition, &scene_tracer, &sampler, settings, near.take())?;
         let mut spent = start.elapsed().as_secs_f64();
         // What one camera sees stays through the whole path.
         if cameras.len() > 1 || seen.is_none() {
@@ -119,8 +122,9 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         }
         let Some(seen) = &seen else { continue };
         let start = Instant::now();
-        let renderer =
+        let mut renderer =
             Renderer::new(&composition, &ground, baked.as_ref(), own.as_ref(), &seen.cloud, settings)?;
+        renderer.step = i as u64;
         spent += start.elapsed().as_secs_f64();
         edit_s += spent;
         let start = Instant::now();
@@ -133,6 +137,8 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         write_png(&path, &frame.beauty)?;
         run.output(&path)?;
         pictures.push(frame.beauty);
+        drop(renderer);
+        near = ground.near.map(|(near, _)| near);
     }
     write_gif(&preview, &pictures.iter().collect::<Vec<_>>(), STEP_MS)?;
     run.output(&preview)?;

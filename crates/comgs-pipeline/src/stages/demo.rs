@@ -1,6 +1,7 @@
 //! `demo`: two small captures become composed frames, with every stage on the way.
 
-use crate::stages::{compose, eval, place, reconstruct};
+use crate::stages::editing::Settings;
+use crate::stages::{compose, decompose, eval, place, reconstruct, render_composition};
 use crate::{Context, PipelineError, Run, RunRecord, source};
 use comgs_geom::Similarity;
 use comgs_image::Image;
@@ -40,14 +41,18 @@ impl Default for Config {
 /// What came out.
 #[derive(Clone, Debug)]
 pub struct Output {
-    /// The composition.
+    /// The composition, the object in the light of its capture.
     pub compose: compose::Output,
-    /// One view three times: the empty scene, composed, ground truth.
+    /// The same frames with the object in the scene's light.
+    pub relit: render_composition::Output,
+    /// One view four times: the empty scene, pasted, relit, ground truth.
     pub hero: PathBuf,
     /// Scores of the object's reconstruction.
     pub object: eval::Evaluation,
     /// Scores of the scene's reconstruction.
     pub scene: eval::Evaluation,
+    /// Scores of the relit frames.
+    pub relit_scores: eval::Evaluation,
     /// Where `place` put the object, against where the truth has it, in scene units.
     pub placement_error: f64,
     /// The record.
@@ -67,7 +72,7 @@ pub fn find_assets() -> Option<PathBuf> {
         .find(|candidate| candidate.join("composition").is_dir())
 }
 
-/// Runs everything: reconstruct both, place, light, compose, score.
+/// Runs everything: reconstruct both, decompose the object, place, light, compose, relight, score.
 ///
 /// The frames are composed with the transform that the ground truth was rendered with, so that they can be scored;
 /// `place` is run on the same spot and its distance from that transform reported.
@@ -103,16 +108,26 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     let object_scores = run.time("score object", || score(&object, &object_capture))?;
     let scene_scores = run.time("score scene", || score(&scene, &scene_capture))?;
 
+    // Of the same name, because transforms name their objects.
+    let with_material = input.output.join("material").join(format!("{}.asset", source::name_of(&object)));
+    let decompose_input =
+        decompose::Input { asset: object, capture: object_capture, output: Some(with_material.clone()) };
+    let mut decompose_config = decompose::Config::preset(config.quality);
+    decompose_config.decompose.seed = config.seed;
+    decompose_config.resume = reconstruct::Resume::IfThere;
+    let decomposed = decompose::run(&decompose_input, &decompose_config, context)?;
+    run.add_time("decompose", decomposed.record.seconds, decomposed.reused);
+
     let transform = composition.join("transform.json");
     let truth = TransformFile::read(&transform)?;
     let (_, truth) = truth.objects[0];
-    let placed = run.time("place", || place_like(&truth, &scene, &object, input, context))?;
+    let placed = run.time("place", || place_like(&truth, &scene, &with_material, input, context))?;
     let placement_error = placed.translation.distance(truth.translation);
     context.progress.note(&format!("place lands {placement_error:.3} scene units from the true position"));
 
     let compose_input = compose::Input {
         scene,
-        objects: vec![object],
+        objects: vec![with_material],
         cameras: composition.join("cameras.json"),
         light: None,
         truth: Some(composition.clone()),
@@ -127,6 +142,19 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     };
     let composed = run.time("compose", || compose::run(&compose_input, &compose_config, context))?;
 
+    let relit_input = render_composition::Input {
+        composition: input.output.join("composed").join("composition.json"),
+        cameras: None,
+        photos: None,
+        cache: Some(input.output.join("cache")),
+        output: input.output.join("relit"),
+    };
+    let settings = Settings { near_field: true, bounce: true, seed: config.seed, ..Settings::default() };
+    let relit_config =
+        render_composition::Config { settings, layers: true, ..render_composition::Config::default() };
+    let relit = run.time("relight", || render_composition::run(&relit_input, &relit_config, context))?;
+    let relit_scores = run.time("score relit", || score(&relit_input.output, &composition))?;
+
     let hero = run.time("hero", || write_hero(&composed, &composition, &input.output))?;
 
     run.describe(String::new(), json!({"assets": input.assets}), config, Some(config.seed))?;
@@ -136,11 +164,14 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
         "object": object_scores.sections,
         "scene": scene_scores.sections,
         "composed": composed.evaluation.as_ref().map(|e| &e.sections),
+        "relit": relit_scores.sections,
         "placement_error": placement_error,
     }));
     let record = run.finish()?;
     Ok(Output {
         compose: composed,
+        relit,
+        relit_scores,
         hero,
         object: object_scores,
         scene: scene_scores,
@@ -152,13 +183,13 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
 /// Pixels between the pictures of the hero.
 const HERO_GAP: usize = 4;
 
-/// Writes `hero.png`: one view as the empty scene, composed, and ground truth, side by side.
+/// Writes `hero.png`: one view as the empty scene, pasted, relit, and ground truth, side by side.
 fn write_hero(composed: &compose::Output, truth: &Path, output: &Path) -> Result<PathBuf, PipelineError> {
     let name =
         best_view(composed).ok_or_else(|| PipelineError::input("composition", "a scored view", "none"))?;
-    let folder = output.join("composed");
     let file = format!("{name}.png");
-    let pictures = ["empty", "frames"].map(|kind| folder.join(kind).join(&file));
+    let pictures =
+        ["composed/empty", "composed/frames", "relit/frames"].map(|folder| output.join(folder).join(&file));
     let mut images = Vec::new();
     for path in pictures.into_iter().chain([truth.join("images").join(&file)]) {
         images.push(comgs_image::read(&path)?.color);

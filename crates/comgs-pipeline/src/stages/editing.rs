@@ -2,6 +2,7 @@
 
 mod casters;
 mod own_light;
+mod photos;
 mod relit;
 mod settings;
 
@@ -13,7 +14,7 @@ pub use settings::{Relight, Settings, Shading, Shadow};
 use crate::stages::frames;
 use crate::stages::relight::subject::{Subject, read_light};
 use crate::{Fingerprint, PipelineError, source};
-use comgs_compose::{Lamp, PlacedObject, PlacementConfig, check_placement, objects};
+use comgs_compose::{CameraLook, Lamp, PlacedObject, PlacementConfig, check_placement, objects};
 use comgs_geom::{Camera, Similarity};
 use comgs_light::EnvironmentMap;
 use comgs_raster::RasterConfig;
@@ -41,6 +42,8 @@ pub(crate) struct Composition {
     pub light_path: PathBuf,
     pub map: EnvironmentMap,
     pub lamps: Vec<Lamp>,
+    /// Noise and defocus of the scene's photos, where they were given.
+    pub look: Option<CameraLook>,
 }
 
 impl Composition {
@@ -77,7 +80,12 @@ impl Composition {
             objects.push(Placed { name: object.name.clone(), subject, world_from_object });
         }
         let lamps = record.lamps.iter().map(lamp).collect();
-        Ok(Self { record, scene, scene_path, objects, cameras, light_path, map, lamps })
+        let mut read =
+            Self { record, scene, scene_path, objects, cameras, light_path, map, lamps, look: None };
+        // The map stays where it was taken when objects move.
+        let middle = read.middle().as_dvec3().to_array();
+        read.record.light_at.get_or_insert(middle);
+        Ok(read)
     }
 
     /// What a result depends on, but for cameras and settings.
@@ -91,6 +99,8 @@ impl Composition {
         fingerprint.path("light", &self.light_path)?;
         fingerprint.config("lamps", &self.record.lamps)?;
         fingerprint.config("effects", &self.record.effects)?;
+        fingerprint.config("light_at", &self.record.light_at)?;
+        fingerprint.config("look", &self.look)?;
         Ok(fingerprint)
     }
 
@@ -117,6 +127,11 @@ impl Composition {
     pub fn middle(&self) -> Vec3 {
         let spheres: Vec<_> = self.spheres();
         spheres.iter().map(|s| s.0).sum::<Vec3>() / spheres.len().max(1) as f32
+    }
+
+    /// Where the map was taken, as far as the record knows; else the middle of the objects.
+    pub fn light_centre(&self) -> Vec3 {
+        self.record.light_at.map_or_else(|| self.middle(), |at| DVec3::from_array(at).as_vec3())
     }
 
     /// Bounding spheres of the objects, world.

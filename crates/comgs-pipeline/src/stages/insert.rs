@@ -8,7 +8,6 @@ mod place;
 use crate::{Context, Fingerprint, PipelineError, Run, RunRecord, Status, source};
 use comgs_geom::Camera;
 use comgs_image::Image;
-use comgs_insert::ground::Ground;
 use comgs_insert::light::LightMap;
 use comgs_insert::object::Object;
 use comgs_insert::optimise::{Curves, Losses};
@@ -27,7 +26,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 pub use fill::Filled;
 pub(crate) use fill::completer;
 pub use guided::MaterialChoice;
-pub use place::{At, CameraFrom};
+pub(crate) use guided::read_bundle;
+pub use place::{At, CameraFrom, GroundFrom};
 
 /// Inputs of the stage.
 #[derive(Clone, Debug)]
@@ -68,8 +68,8 @@ pub enum GuidedBy {
 pub struct Config {
     /// Where the field of view comes from.
     pub camera: CameraFrom,
-    /// The ground.
-    pub ground: Ground,
+    /// Where the ground comes from.
+    pub ground: GroundFrom,
     /// Where the object stands.
     pub at: At,
     /// Factor on the object's size; what is taken when absent is said.
@@ -112,7 +112,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             camera: CameraFrom::Photo,
-            ground: Ground::Level { height: 1.6 },
+            ground: GroundFrom::Photo { height: HEIGHT },
             at: At::Auto,
             scale: None,
             yaw_deg: 0.0,
@@ -134,6 +134,9 @@ impl Default for Config {
         }
     }
 }
+
+/// Height of a camera of which nothing is known, metres: a person's eyes.
+pub const HEIGHT: f64 = 1.6;
 
 /// Spherical Gaussians by default: with 24 a sun's energy came out 19 % low, with 64 5 % (`tests/optimise.rs` of
 /// `comgs-insert`).
@@ -303,11 +306,7 @@ fn fingerprint(input: &Input, config: &Config) -> Result<String, PipelineError> 
 }
 
 /// Says how far a loop over `all` items is, and whether it should go on.
-pub(crate) fn watch<'a>(
-    context: &'a Context<'_>,
-    doing: &'a str,
-    all: usize,
-) -> impl Fn(usize) -> bool + Sync + 'a {
+fn watch<'a>(context: &'a Context<'_>, doing: &'a str, all: usize) -> impl Fn(usize) -> bool + Sync + 'a {
     let done = AtomicUsize::new(0);
     move |items| {
         let before = done.fetch_add(items, Ordering::Relaxed);

@@ -4,29 +4,34 @@
 //! the same insertion under the map itself. Methods see the photo alone. The reference and every method are rendered by
 //! [`comgs_insert::render`], which two other renderers judge (`comgs-synth` in tests, Mitsuba 3 by script), so the
 //! differences here are those of light and tone alone.
+//!
+//! Every method's result is written as it is made; a run that was stopped goes on from there, and a run with a further method or
+//! further maps makes only those.
 
+mod case;
+mod maps;
 mod objects;
+mod saved;
+mod sheet;
 mod table;
 
-use super::insert::{Filled, completer, watch};
-use crate::stages::insert::{LOBES, MOST};
+use super::insert::Filled;
+use crate::stages::insert::{LOBES, read_bundle};
 use crate::{Context, PipelineError, Run, RunRecord, Status};
-use comgs_geom::{Camera, Similarity, equirect};
-use comgs_image::transfer::{linear_from_srgb, srgb_from_linear, srgb8_from_linear};
+use case::{case, cropped, estimate, picture, scores};
 use comgs_image::{Image, write_png};
-use comgs_insert::ground::{Ground, above};
-use comgs_insert::object::{Object, stand};
-use comgs_insert::panorama::{GroundMeter, project, surroundings};
-use comgs_insert::render::{Samples, render};
-use comgs_insert::session::{self, LightKind, compose_layers, fit, touched};
-use comgs_insert::tone::{Response, Tone};
-use comgs_insert::{InsertError, light::LightMap};
-use comgs_light::{EnvironmentMap, EnvironmentSampler};
-use comgs_metrics::{MetricError, PixelWeights, rmse, si_rmse, ssim};
-use glam::{DVec3, Vec3};
+use comgs_insert::lds::GuidanceBundle;
+use comgs_insert::panorama::GroundMeter;
+use comgs_insert::render::Samples;
+use comgs_insert::session::{LightKind, touched};
+use comgs_insert::tone::Response;
+use comgs_metrics::MetricError;
+use maps::{Chosen, chosen};
+use saved::Saved;
 use serde::Serialize;
 use serde_json::json;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 pub use table::{Row, Scores, markdown};
 
@@ -35,6 +40,8 @@ pub use table::{Row, Scores, markdown};
 pub struct Input {
     /// Folder of environment maps (`.exr`, `.hdr`), or one map.
     pub maps: PathBuf,
+    /// Folder of a guidance bundle, for a row of score distillation.
+    pub model: Option<PathBuf>,
     /// Output folder.
     pub output: PathBuf,
     /// The command, for the table's caption.
@@ -46,6 +53,8 @@ pub struct Input {
 pub struct Config {
     /// Maps taken, evenly spread over the sorted folder; the paper has 11.
     pub count: usize,
+    /// Further maps at most, of those that the shipped completer never saw.
+    pub unseen: usize,
     /// Size of the photos in pixels.
     pub size: [usize; 2],
     /// Horizontal field of view in degrees.
@@ -68,6 +77,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             count: 11,
+            unseen: 11,
             size: [384, 256],
             fov_deg: 60.0,
             height: 1.5,
@@ -104,12 +114,14 @@ enum Estimate {
     Even,
     /// The completed panorama, described as it says.
     Panorama(LightKind, Option<GroundMeter>, Filled),
+    /// Score distillation by the bundle that is given, from the panorama's light on.
+    Distilled,
     /// The true map reduced to what the optimised maps hold: what the description alone costs.
     True,
 }
 
 /// Methods in the order of the table. The photos' own response is [`Response::Clip`].
-const METHODS: [Method; 8] = [
+const METHODS: [Method; 9] = [
     Method { name: "even light", light: Estimate::Even, response: Response::Clip },
     Method {
         name: "panorama without the ground",
@@ -141,6 +153,7 @@ const METHODS: [Method; 8] = [
         light: Estimate::Panorama(LightKind::Gaussians(LOBES), None, Filled::Learned),
         response: Response::Reinhard,
     },
+    Method { name: "score distillation", light: Estimate::Distilled, response: Response::Clip },
     Method { name: "true map at the fit's resolution", light: Estimate::True, response: Response::Clip },
 ];
 
@@ -155,83 +168,47 @@ pub struct Output {
     pub record: RunRecord,
 }
 
-/// One map's photo and what is put into it.
-struct Case {
-    name: String,
-    /// The map, turned to the camera and exposed as the photo is.
-    light: EnvironmentMap,
-    photo: Image,
-    camera: Camera,
-    object: Object,
-    object_name: &'static str,
-}
-
-/// Runs the benchmark: `insert_eval.{csv,md}`, and for every map `<map>_{photo,reference}.png`, `<map>_<method>.png`,
-/// `sheet.png` with all of them.
+/// Runs the benchmark: `insert_eval.{csv,md}`, for every map `<map>.json`, `<map>_{photo,reference}.png`,
+/// `<map>_<method>.png`, and `sheet.png` with all of them.
 ///
 /// # Errors
-/// [`PipelineError`] when there are no maps, or one cannot be read.
+/// [`PipelineError`] when there are no maps, or one cannot be read. [`PipelineError::Cancelled`] says how much is kept.
 pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Output, PipelineError> {
     context.progress.begin("insert-eval");
     let mut run = Run::in_folder("insert-eval", &input.output);
     run.check_output()?;
-    let maps = chosen(&input.maps, config.count)?;
-    run.describe(String::new(), json!({"maps": input.maps}), config, Some(config.seed))?;
+    let maps = chosen(&input.maps, config.count, config.unseen)?;
+    let bundle = input.model.as_deref().map(read_bundle).transpose()?;
+    let methods: Vec<Method> =
+        METHODS.into_iter().filter(|m| bundle.is_some() || m.light != Estimate::Distilled).collect();
+    let inputs = json!({"maps": input.maps, "model": input.model});
+    run.describe(String::new(), inputs, config, Some(config.seed))?;
     run.invalidate()?;
-    let mut rows = Vec::new();
-    let mut sheet = Vec::new();
-    for (k, path) in maps.iter().enumerate() {
-        context.check()?;
-        let case = case(path, k, config)?;
-        let fraction = Some(k as f64 / maps.len() as f64);
-        let message = format!("{}, map {}/{}", case.name, k + 1, maps.len());
-        context.progress.update(&Status { fraction, message, remaining: None });
-        let started = std::time::Instant::now();
-        let truth = picture(&case, &case.light, Response::Clip, config, context)?;
-        run.add_time("reference", started.elapsed().as_secs_f64(), false);
-        let crop = touched(&truth.1);
-        let file = |what: &str| {
-            input.output.join(format!(
-                "{}_{}.png",
-                case.name,
-                what.replace(", ", "_").replace([' ', '\''], "_")
-            ))
-        };
-        let mut strip = vec![case.photo.clone(), truth.0.clone()];
-        for (what, image) in [("photo", &case.photo), ("reference", &truth.0)] {
-            write_png(&file(what), image)?;
-            run.output(&file(what))?;
-        }
-        for method in METHODS {
-            context.check()?;
-            let started = std::time::Instant::now();
-            let light = estimate(&case, method, config, context)?;
-            let seconds = started.elapsed().as_secs_f64();
-            let (image, _) = picture(&case, &light, method.response, config, context)?;
-            run.add_time(method.name, seconds, false);
-            let cut = |im: &Image| cropped(im, crop);
-            let failed = |e: MetricError| PipelineError::Internal(e.to_string());
-            rows.push(Row {
-                map: case.name.clone(),
-                object: case.object_name,
-                method: method.name,
-                seconds,
-                whole: scores(&image, &truth.0).map_err(failed)?,
-                touched: scores(&cut(&image), &cut(&truth.0)).map_err(failed)?,
-            });
-            write_png(&file(method.name), &image)?;
-            run.output(&file(method.name))?;
-            strip.push(image);
-        }
-        sheet.push(strip);
+    let mut bench = Bench { input, config, bundle, methods, maps: maps.len(), pace: Pace::default() };
+    let (mut rows, mut strips) = (Vec::new(), Vec::new());
+    for (k, chosen) in maps.iter().enumerate() {
+        let left = maps.len() - k;
+        let saved = bench.map(chosen, left, &mut run, context).map_err(|error| match error {
+            PipelineError::Cancelled { .. } => PipelineError::Cancelled {
+                kept: Some(format!(
+                    "{k} of {} maps are finished in {}, the next up to the method that was being tried; the same command goes \
+                     on from there",
+                    maps.len(),
+                    input.output.display()
+                )),
+            },
+            other => other,
+        })?;
+        strips.push(bench.strip(&saved)?);
+        rows.extend(bench.methods.iter().filter_map(|m| saved.row(m.name)).cloned());
     }
     let (md, csv) = (input.output.join("insert_eval.md"), input.output.join("insert_eval.csv"));
-    let names: Vec<&str> = METHODS.iter().map(|m| m.name).collect();
+    let names: Vec<&str> = bench.methods.iter().map(|m| m.name).collect();
     write_text(&md, &markdown(&rows, &names, &input.command))?;
     write_text(&csv, &table::csv(&rows))?;
-    let sheet_path = input.output.join("sheet.png");
-    write_png(&sheet_path, &contact_sheet(&sheet))?;
-    for path in [&md, &csv, &sheet_path] {
+    let sheet = input.output.join("sheet.png");
+    write_png(&sheet, &sheet::contact_sheet(&strips))?;
+    for path in [&md, &csv, &sheet] {
         run.output(path)?;
     }
     run.results(json!({"means": table::means(&rows, &names)}));
@@ -240,165 +217,147 @@ pub fn run(input: &Input, config: &Config, context: &Context<'_>) -> Result<Outp
     Ok(Output { table: md, rows, record })
 }
 
-fn write_text(path: &Path, text: &str) -> Result<(), PipelineError> {
-    comgs_image::atomic::write_file(path, |w| w.write_all(text.as_bytes()))
-        .map_err(|e| PipelineError::io(path, e))
+/// How fast it goes: results that are made, not those that are taken over.
+#[derive(Default)]
+struct Pace {
+    made: usize,
+    seconds: f64,
 }
 
-/// `count` maps spread evenly over a folder's sorted maps; the file itself for a file.
-fn chosen(path: &Path, count: usize) -> Result<Vec<PathBuf>, PipelineError> {
-    if path.is_file() {
-        return Ok(vec![path.to_owned()]);
+impl Pace {
+    fn add(&mut self, seconds: f64) {
+        self.made += 1;
+        self.seconds += seconds;
     }
-    let entries = std::fs::read_dir(path).map_err(|e| PipelineError::io(path, e))?;
-    let mut maps: Vec<PathBuf> = entries
-        .filter_map(|e| Some(e.ok()?.path()))
-        .filter(|p| matches!(crate::source::extension(p).as_str(), "exr" | "hdr"))
-        .collect();
-    maps.sort();
-    if maps.is_empty() || count == 0 {
-        return Err(PipelineError::input(
-            path.display().to_string(),
-            "environment maps (.exr, .hdr)",
-            "none",
-        ));
+
+    /// Time for `left` more results at the mean pace so far.
+    fn remaining(&self, left: usize) -> Option<Duration> {
+        let each = (self.made > 0).then(|| self.seconds / self.made as f64)?;
+        Some(Duration::from_secs_f64(each * left as f64))
     }
-    let count = count.min(maps.len());
-    Ok((0..count).map(|k| maps[k * maps.len() / count].clone()).collect())
 }
 
-/// Cuts the photo and places the object.
-fn case(path: &Path, k: usize, config: &Config) -> Result<Case, PipelineError> {
-    let map = super::relight::subject::read_light(path, |_| {})?;
-    // Golden-angle headings: not all photos look at what the photographer put into the map's middle.
-    let map = map.turned((k as f32 * 137.5).to_radians());
-    let [w, h] = config.size;
-    let fov = config.fov_deg.to_radians();
-    let intrinsics = Camera::look_at("photo", w, h, fov, DVec3::ZERO, DVec3::X, DVec3::Z);
-    let ground = Ground::Horizon { row: HORIZON * h as f64, height: config.height };
-    let camera = above(&intrinsics, &ground).map_err(InsertError::from)?;
-    let mut raw = Image::zeros(w, h, 3);
-    for y in 0..h {
-        for x in 0..w {
-            let mut sum = Vec3::ZERO;
-            for (dx, dy) in [(0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)] {
-                sum += map.lookup(camera.ray_world(x as f64 + dx, y as f64 + dy).as_vec3());
-            }
-            raw.pixel_mut(x, y).copy_from_slice(&(0.25 * sum).to_array());
-        }
-    }
-    let mut luminances: Vec<f32> =
-        (0..w * h).map(|i| comgs_light::luminance(Vec3::from_slice(&raw.data[3 * i..3 * i + 3]))).collect();
-    luminances.sort_by(f32::total_cmp);
-    let metered = luminances[((luminances.len() - 1) as f64 * METERED) as usize].max(1e-9);
-    let exposure = EXPOSED / metered;
-    // As a photo is stored.
-    let photo = raw.map(|v| linear_from_srgb(f32::from(srgb8_from_linear(v * exposure)) / 255.0));
-    let (object_name, mesh) = objects::object(k);
-    let bounds = mesh.bounds().ok_or_else(|| PipelineError::Internal("an empty object".into()))?;
-    let transform: Similarity = stand(bounds, [config.distance, 0.0], 1.0, k as f64);
-    let object =
-        Object::mesh(&mesh, &transform).ok_or_else(|| PipelineError::Internal("an empty object".into()))?;
-    let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(Case { name, light: map.scaled(exposure), photo, camera, object, object_name })
+/// What all maps share.
+struct Bench<'a> {
+    input: &'a Input,
+    config: &'a Config,
+    bundle: Option<GuidanceBundle>,
+    methods: Vec<Method>,
+    maps: usize,
+    pace: Pace,
 }
 
-/// The light that a method finds, in units of the photo.
-fn estimate(
-    case: &Case,
-    method: Method,
-    config: &Config,
-    context: &Context<'_>,
-) -> Result<EnvironmentMap, PipelineError> {
-    let most = if method.response == Response::Clip { 1.0 } else { MOST };
-    match method.light {
-        Estimate::Even => {
-            Ok(EnvironmentMap::constant(session::mean_radiance(&case.photo, method.response, most)))
-        }
-        Estimate::Panorama(kind, meter, fill) => {
-            let partial = project(&case.photo, &case.camera, method.response, most, PANORAMA_HEIGHT);
-            let completer = completer(fill, method.response.invert(most, most))?;
-            let (target, _) =
-                surroundings(&partial, &case.camera, &*completer, meter.as_ref(), config.light_height)?;
-            let check = |_: usize| !context.cancel.is_cancelled();
-            Ok(fit(&target, kind, config.iterations, check)?.light.to_environment())
-        }
-        Estimate::True => {
-            // Looked up texel by texel, because the map is turned, and reduced from there by solid angle.
-            let (h, w) = (case.light.height(), case.light.width());
-            let mut image = Image::zeros(w, h, 3);
-            for y in 0..h {
-                for x in 0..w {
-                    let d = equirect::texel_direction(x, y, w, h);
-                    image.pixel_mut(x, y).copy_from_slice(&case.light.radiance(d).to_array());
+impl Bench<'_> {
+    /// File of a picture of a map.
+    fn file(&self, map: &str, what: &str) -> PathBuf {
+        let what = what.replace(", ", "_").replace([' ', '\''], "_");
+        self.input.output.join(format!("{map}_{what}.png"))
+    }
+
+    /// One map under every method: what is saved of an earlier run is taken over. `left` maps are to do, this one among them.
+    fn map(
+        &mut self,
+        chosen: &Chosen,
+        left: usize,
+        run: &mut Run,
+        context: &Context<'_>,
+    ) -> Result<Saved, PipelineError> {
+        let path = self.input.output.join(format!("{}.json", chosen.name));
+        let keys = saved::keys(chosen, self.config, self.input.model.as_deref())?;
+        let mut saved = Saved::read(&path, &keys, |what| self.file(&chosen.name, what));
+        let rendered = saved.crop.is_some();
+        let missing: Vec<Method> =
+            self.methods.iter().copied().filter(|m| saved.row(m.name).is_none()).collect();
+        if !rendered || !missing.is_empty() {
+            let case = case(chosen, self.config)?;
+            let (methods, maps) = (self.methods.len(), self.maps);
+            let say = |pace: &Pace, what: &str, done: usize| {
+                let to_do = left * methods - done;
+                let fraction = Some(1.0 - to_do as f64 / (maps * methods) as f64);
+                let message = format!("{}, map {} of {maps}, {what}", chosen.name, maps - left + 1);
+                context.progress.update(&Status { fraction, message, remaining: pace.remaining(to_do) });
+            };
+            if !rendered {
+                say(&self.pace, "reference", 0);
+                let (truth, layers) = run.time("reference", || {
+                    picture(&case, &case.light, Response::Clip, self.config, context)
+                })?;
+                for (what, image) in [("photo", &case.photo), ("reference", &truth)] {
+                    write_png(&self.file(&chosen.name, what), image)?;
+                    saved.picture(what, &self.file(&chosen.name, what))?;
                 }
+                saved.crop = Some(touched(&layers));
+                saved.write(&path)?;
             }
-            let reason = |reason| PipelineError::Light { path: PathBuf::from(&case.name), reason };
-            Ok(LightMap::from_image(&image, config.light_height).map_err(reason)?.to_environment())
+            let truth = read_picture(&self.file(&chosen.name, "reference"))?;
+            for method in missing {
+                let done = self.methods.iter().filter(|m| saved.row(m.name).is_some()).count();
+                say(&self.pace, method.name, done);
+                context.check()?;
+                let started = Instant::now();
+                let light = estimate(&case, method, self.bundle.as_ref(), self.config, context)?;
+                let seconds = started.elapsed().as_secs_f64();
+                let (image, _) = picture(&case, &light, method.response, self.config, context)?;
+                let file = self.file(&chosen.name, method.name);
+                write_png(&file, &image)?;
+                saved.picture(method.name, &file)?;
+                let key = keys.of(method.light == Estimate::Distilled);
+                let row = row(chosen, case.object_name, method.name, seconds, &image, &truth, &saved)?;
+                saved.add(row, key);
+                saved.write(&path)?;
+                run.add_time(method.name, seconds, false);
+                self.pace.add(started.elapsed().as_secs_f64());
+            }
         }
+        run.output(&path)?;
+        for what in self.pictures() {
+            run.output(&self.file(&chosen.name, what))?;
+        }
+        Ok(saved)
+    }
+
+    /// Photo, reference, methods.
+    fn pictures(&self) -> impl Iterator<Item = &'static str> {
+        let methods: Vec<&'static str> = self.methods.iter().map(|m| m.name).collect();
+        ["photo", "reference"].into_iter().chain(methods)
+    }
+
+    /// A map's row of the contact sheet.
+    fn strip(&self, saved: &Saved) -> Result<Vec<Image>, PipelineError> {
+        self.pictures().map(|what| read_picture(&self.file(&saved.map, what))).collect()
     }
 }
 
-/// The insertion under a light, 8-bit as the photo is, and its layers.
-fn picture(
-    case: &Case,
-    light: &EnvironmentMap,
-    response: Response,
-    config: &Config,
-    context: &Context<'_>,
-) -> Result<(Image, comgs_insert::render::Layers), PipelineError> {
-    let sampler = EnvironmentSampler::new(light);
-    let all = case.camera.width * case.camera.height;
-    let check = watch(context, &case.name, all);
-    let layers = render(&case.object, &case.camera, &sampler, &config.samples, config.seed, check)
-        .ok_or(PipelineError::Cancelled { kept: None })?;
-    let image = compose_layers(&case.photo, &layers, &Tone::identity(response).curves());
-    Ok((image.map(|v| linear_from_srgb(f32::from(srgb8_from_linear(v)) / 255.0)), layers))
-}
-
-fn scores(image: &Image, truth: &Image) -> Result<Scores, MetricError> {
-    let coded = |im: &Image| im.map(|v| srgb_from_linear(v.clamp(0.0, 1.0)));
-    let (a, b) = (coded(image), coded(truth));
-    let even = PixelWeights::Uniform;
-    Ok(Scores {
-        rmse_srgb: rmse(&a, &b, even, None)?,
-        si_rmse_srgb: si_rmse(&a, &b, even, None)?,
-        rmse_linear: rmse(image, truth, even, None)?,
-        si_rmse_linear: si_rmse(image, truth, even, None)?,
-        ssim: ssim(image, truth, comgs_metrics::Border::Valid, None)?.mean,
+fn row(
+    chosen: &Chosen,
+    object: &str,
+    method: &str,
+    seconds: f64,
+    image: &Image,
+    truth: &Image,
+    saved: &Saved,
+) -> Result<Row, PipelineError> {
+    let failed = |e: MetricError| PipelineError::Internal(e.to_string());
+    let crop = saved.crop.ok_or_else(|| PipelineError::Internal("a row before its reference".into()))?;
+    let cut = |im: &Image| cropped(im, crop);
+    Ok(Row {
+        map: chosen.name.clone(),
+        unseen: chosen.unseen,
+        object: object.to_owned(),
+        method: method.to_owned(),
+        seconds,
+        whole: scores(image, truth).map_err(failed)?,
+        touched: scores(&cut(image), &cut(truth)).map_err(failed)?,
     })
 }
 
-fn cropped(image: &Image, crop: comgs_insert::composite::Crop) -> Image {
-    let mut out = Image::zeros(crop.x1 - crop.x0, crop.y1 - crop.y0, 3);
-    for y in 0..out.height {
-        for x in 0..out.width {
-            let value = image.rgb(crop.x0 + x, crop.y0 + y);
-            out.pixel_mut(x, y).copy_from_slice(&value);
-        }
-    }
-    out
+/// A picture of this stage, linear, three channels.
+fn read_picture(path: &Path) -> Result<Image, PipelineError> {
+    let image = comgs_image::read(path)?.color;
+    Ok(if image.channels == 1 { image.select(&[0, 0, 0]) } else { image })
 }
 
-/// Pictures of a sheet are reduced to this width.
-const SHEET_WIDTH: usize = 192;
-
-/// One row a map: photo, reference, methods.
-fn contact_sheet(strips: &[Vec<Image>]) -> Image {
-    let columns = strips.first().map_or(0, Vec::len);
-    let Some(first) = strips.first().and_then(|s| s.first()) else { return Image::zeros(1, 1, 3) };
-    let (w, h) = (SHEET_WIDTH, first.height * SHEET_WIDTH / first.width);
-    let mut out = Image::zeros(columns * w, strips.len() * h, 3);
-    for (row, strip) in strips.iter().enumerate() {
-        for (column, image) in strip.iter().enumerate() {
-            let small = image.resized(w, h);
-            for y in 0..h {
-                for x in 0..w {
-                    let value = small.rgb(x, y);
-                    out.pixel_mut(column * w + x, row * h + y).copy_from_slice(&value);
-                }
-            }
-        }
-    }
-    out
+fn write_text(path: &Path, text: &str) -> Result<(), PipelineError> {
+    comgs_image::atomic::write_file(path, |w| w.write_all(text.as_bytes()))
+        .map_err(|e| PipelineError::io(path, e))
 }

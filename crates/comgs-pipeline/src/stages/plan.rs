@@ -43,6 +43,8 @@ pub struct Input {
     pub composition: PathBuf,
     /// Cameras instead of the composition's.
     pub cameras: Option<PathBuf>,
+    /// Photos of the scene whose defocus and noise frames are to have.
+    pub photos: Option<PathBuf>,
     /// Folder of occlusion fields: what lies there costs a run nothing.
     pub cache: Option<PathBuf>,
 }
@@ -140,10 +142,11 @@ pub fn run_for(
     context.progress.begin("plan");
     let start = Instant::now();
     let mut warnings = Vec::new();
-    let composition = Composition::load(&input.composition, input.cameras.as_deref(), |text| {
+    let mut composition = Composition::load(&input.composition, input.cameras.as_deref(), |text| {
         context.progress.warn(&text);
         warnings.push(text);
     })?;
+    composition.match_photos(input.photos.as_deref(), context)?;
     let load_s = start.elapsed().as_secs_f64();
     let scene_tracer = Tracer::new(&composition.scene.surfels, &TraceConfig::default())?;
     let trees_s = start.elapsed().as_secs_f64() - load_s;
@@ -253,7 +256,7 @@ fn plan(
             (effect.turn_on)(&mut chosen);
         }
     }
-    lines.extend(unmodelled::lines(composition, tracer));
+    lines.extend(unmodelled::lines(composition));
     let (plan_s, limits) = (0.0, *limits);
     let plan = Plan { lines, seconds, qualities, plan_s, read_s, limits, settings: chosen, shortfall };
     Ok((plan, scenes))

@@ -1,25 +1,28 @@
 //! `render --composition`: frames of a composition, with shadows from a cache, objects under its light, and only the
 //! effects that are asked for.
 
+mod bounce;
+mod ground;
+mod seen;
 mod stage;
 
+pub(crate) use ground::Ground;
+pub(crate) use seen::Seen;
 pub use stage::{Config, Input, Output, run, run_planned};
 
+use crate::PipelineError;
 use crate::stages::editing::{
     Baked, Composition, Lighting, OwnLight, RelitObjects, Settings, Shadow, lit_map,
 };
-use crate::{Context, PipelineError, Status};
+use bounce::seen_radiance;
 use comgs_compose::{
-    CacheConfig, CacheStatistics, ComposeConfig, ComposedFrame, Composer, FieldShadow, ObjectFrame,
-    ObjectShader, ReceiverCloud, SceneFrame, SceneProbeConfig, SceneProbes, ShadowCache, ShadowConfig,
-    ShadowLight, ShadowRatios, ShadowSource, objects,
+    CacheConfig, CacheStatistics, CameraLook, ComposedFrame, Composer, ObjectFrame, ObjectShader,
+    ReceiverCloud, SceneFrame, SceneProbeConfig, SceneProbes, ShadowCache, ShadowRatios, ShadowSource,
 };
 use comgs_geom::Camera;
 use comgs_image::Image;
-use comgs_light::EnvironmentSampler;
-use comgs_probe::{BakeObserver, ProbeSet};
-use comgs_trace::{TraceConfig, Tracer};
-use glam::{DVec3, Vec3};
+use comgs_probe::BakeObserver;
+use glam::Vec3;
 use std::time::Instant;
 
 /// Seconds of preparing a composition, by part.
@@ -64,111 +67,11 @@ pub(crate) struct Renderer<'a> {
     pub prepared: Prepared,
     shadow: Shadow,
     near_only: bool,
-}
-
-/// What must outlive a [`Renderer`].
-pub(crate) struct Ground<'a> {
-    pub composer: Composer<'a>,
-    pub light: ShadowLight,
-    pub object_tracer: Option<Tracer>,
-    pub probes: Option<ProbeSet>,
-    pub prepared: Prepared,
-}
-
-impl<'a> Ground<'a> {
-    /// Composer, light, probes of the objects.
-    ///
-    /// # Errors
-    /// [`PipelineError`].
-    pub fn new(
-        composition: &'a Composition,
-        scene_tracer: &'a Tracer,
-        sampler: &'a EnvironmentSampler,
-        settings: &Settings,
-    ) -> Result<Self, PipelineError> {
-        let mut prepared = Prepared::default();
-        let start = Instant::now();
-        let light =
-            ShadowLight::new(&composition.map, &composition.lamps, &settings.light()).map_err(|e| {
-                PipelineError::input("the composition's lamps", "lights that can shine", e.to_string())
-            })?;
-        prepared.light_s = start.elapsed().as_secs_f64();
-        let start = Instant::now();
-        let traced = settings.shadow == Shadow::Trace && composition.wants_shadow();
-        let shadow =
-            ShadowConfig { rays: settings.shadow_rays(), seed: settings.seed, ..ShadowConfig::default() };
-        let config = ComposeConfig {
-            raster: composition.raster(),
-            shadow: traced.then_some(shadow),
-            ..ComposeConfig::default()
-        };
-        let composer =
-            Composer::new(&composition.scene.surfels, scene_tracer, &composition.placed(), sampler, config)?;
-        let traced = settings.shadow == Shadow::Probes || RelitObjects::wants_tracer(composition, settings);
-        let object_tracer =
-            traced.then(|| Tracer::new(composer.objects(), &TraceConfig::occlusion())).transpose()?;
-        prepared.merge_s = start.elapsed().as_secs_f64();
-        Ok(Self {
-            composer,
-            light,
-            object_tracer,
-            probes: RelitObjects::probes(composition, settings),
-            prepared,
-        })
-    }
-}
-
-/// What cameras see of the scene: does not change when objects move.
-#[derive(Default)]
-pub(crate) struct Seen {
-    /// The points of all of them.
-    pub cloud: ReceiverCloud,
-    /// The frame of every camera, as far as memory goes.
-    frames: Vec<Option<SceneFrame>>,
-}
-
-/// Memory for frames of the scene.
-const KEPT_BYTES: usize = 256 << 20;
-
-impl Seen {
-    /// Looks through every camera. `known` are frames that are there already.
-    ///
-    /// # Errors
-    /// [`PipelineError::Cancelled`].
-    pub fn new(
-        composer: &Composer<'_>,
-        cameras: &[Camera],
-        mut known: Vec<SceneFrame>,
-        context: &Context<'_>,
-    ) -> Result<Self, PipelineError> {
-        let (mut seen, mut bytes) = (Self::default(), 0);
-        for (i, camera) in cameras.iter().enumerate() {
-            context.check()?;
-            context.progress.update(&Status {
-                fraction: Some(i as f64 / cameras.len() as f64),
-                message: format!("what camera {} sees", camera.name),
-                remaining: None,
-            });
-            let frame = match known.iter().position(|f| f.camera() == camera) {
-                Some(k) => known.swap_remove(k),
-                None => composer.scene_frame(camera),
-            };
-            seen.cloud.add(camera, frame.receivers());
-            bytes += frame.memory_bytes();
-            seen.frames.push((bytes <= KEPT_BYTES).then_some(frame));
-        }
-        Ok(seen)
-    }
-
-    /// The frame of a camera, by its number, where it was kept; only once.
-    pub fn take(&mut self, camera: usize) -> Option<SceneFrame> {
-        self.frames.get_mut(camera).and_then(Option::take)
-    }
-
-    /// The same, to be used again.
-    pub fn frame(&self, camera: usize) -> Option<&SceneFrame> {
-        self.frames.get(camera).and_then(Option::as_ref)
-    }
+    /// What the photos' camera adds.
+    look: CameraLook,
+    seed: u64,
+    /// Tells frames of one camera apart: the step of a movement.
+    pub step: u64,
 }
 
 /// Which parts of a frame are to be made anew.
@@ -223,24 +126,32 @@ impl<'a> Renderer<'a> {
             false => Shadow::None,
         };
         let start = Instant::now();
+        // A floor in the objects' shadow sends them less light.
+        let casts = settings.shadow == Shadow::Auto && composition.wants_shadow();
+        let near = ground.near.as_ref().filter(|_| settings.near_field && parts.objects);
+        let near = near.map(|(near, _)| match baked.filter(|_| casts) {
+            Some(baked) => near.clone().with_shadow(&ground.field_shadow(composition, baked, settings)),
+            None => near.clone(),
+        });
         let lighting = Lighting {
             cloud: ground.composer.objects(),
             probes: ground.probes.as_ref(),
             tracer: ground.object_tracer.as_ref(),
-            light: &ground.light,
+            light: ground.light_for(settings),
             baked,
             own,
+            near,
         };
         // Bounced light is the objects' own.
         let relit = match parts.objects || (settings.bounce && shadow != Shadow::None) {
-            true => RelitObjects::new(composition, &lighting, &lit_map(composition), settings)?,
+            true => RelitObjects::new(composition, lighting, &lit_map(composition), settings)?,
             false => None,
         };
         prepared.relight_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let exact: Option<Box<dyn ShadowRatios + 'a>> = match (shadow, baked) {
             (Shadow::Auto, Some(baked)) => {
-                let field = FieldShadow::new(&ground.light, &baked.placed(composition));
+                let field = ground.field_shadow(composition, baked, settings);
                 Some(Box::new(if settings.bounce {
                     let seen = seen_radiance(composition, &ground.composer, relit.as_ref());
                     field.with_bounce(move |_, d| seen.towards(d))
@@ -262,8 +173,13 @@ impl<'a> Renderer<'a> {
             prepared.cache_s = cache.statistics().seconds;
             cache
         });
-        let near_only = settings.near_only;
-        Ok(Self { composer: &ground.composer, exact, cache, relit, prepared, shadow, near_only })
+        let look = composition.look.unwrap_or_default();
+        let look = CameraLook {
+            defocus: look.defocus.filter(|_| settings.defocus),
+            noise: look.noise.filter(|_| settings.noise),
+        };
+        let (composer, seed, near_only) = (&ground.composer, settings.seed, settings.near_only);
+        Ok(Self { composer, exact, cache, relit, prepared, shadow, near_only, look, seed, step: 0 })
     }
 
     /// One frame.
@@ -289,14 +205,17 @@ impl<'a> Renderer<'a> {
                 &made
             }
         };
-        let frame = self.composer.blend(scene, object, source);
-        if !self.near_only || known.shadow.is_some() {
-            return frame;
+        let mut frame = self.composer.blend(scene, object, source);
+        if self.near_only && known.shadow.is_none() {
+            let spheres = self.exact.as_ref().map(|exact| exact.spheres()).unwrap_or_default();
+            let near = cut_off(&frame.shadow, scene, &spheres);
+            let stats = frame.stats;
+            frame = ComposedFrame { stats, ..self.composer.blend(scene, object, ShadowSource::Known(&near)) };
         }
-        let spheres = self.exact.as_ref().map(|exact| exact.spheres()).unwrap_or_default();
-        let near = cut_off(&frame.shadow, scene, &spheres);
-        let stats = frame.stats;
-        ComposedFrame { stats, ..self.composer.blend(scene, object, ShadowSource::Known(&near)) }
+        let name = &scene.camera().name;
+        let name = name.bytes().fold(0u64, |h, b| h.wrapping_mul(31).wrapping_add(u64::from(b)));
+        self.look.apply(&mut frame, self.seed, name.wrapping_add(self.step.wrapping_mul(0x9e37_79b9)));
+        frame
     }
 
     /// The objects' part of a frame.
@@ -349,60 +268,6 @@ fn scene_probes<'a>(
         Err(comgs_probe::ProbeError::NoPoints(_)) => Ok(None),
         Err(other) => Err(PipelineError::input("scene probes", "probes", other.to_string())),
     }
-}
-
-/// Mean radiance of the objects by direction.
-struct SeenRadiance(Vec<(Vec3, Vec3)>);
-
-impl SeenRadiance {
-    /// Of the nearest direction that was looked in.
-    fn towards(&self, direction: Vec3) -> Vec3 {
-        let nearest = self.0.iter().max_by(|a, b| a.0.dot(direction).total_cmp(&b.0.dot(direction)));
-        nearest.map_or(Vec3::ZERO, |n| n.1)
-    }
-}
-
-/// Width of the pictures that the mean radiance is taken from.
-const SEEN_WIDTH: usize = 24;
-
-/// Looks at the objects from 26 directions.
-fn seen_radiance(
-    composition: &Composition,
-    composer: &Composer<'_>,
-    relit: Option<&RelitObjects<'_>>,
-) -> SeenRadiance {
-    let cloud = composer.objects();
-    let Some((centre, radius)) = objects::bounding_sphere(cloud) else { return SeenRadiance(Vec::new()) };
-    let mut seen = Vec::new();
-    for k in (0..27).filter(|&k| k != 13) {
-        let step = |v: i32| f64::from(v % 3 - 1);
-        let from = DVec3::new(step(k), step(k / 3), step(k / 9)).normalize();
-        let eye = centre.as_dvec3() + from * f64::from(radius) * 6.0;
-        let up = if from.z.abs() > 0.9 { DVec3::X } else { DVec3::Z };
-        let camera = Camera::look_at(
-            "seen",
-            SEEN_WIDTH,
-            SEEN_WIDTH,
-            2.2 * (1.0f64 / 6.0).atan(),
-            eye,
-            centre.as_dvec3(),
-            up,
-        );
-        let raster = composition.raster();
-        let seen_of = relit.and_then(ObjectShader::carrier).unwrap_or(cloud);
-        let frame = comgs_raster::render(seen_of, &camera, comgs_raster::Planes::ALL, &raster);
-        let color = match (relit, &frame.color) {
-            (Some(relit), _) => relit.shade(&camera, &frame),
-            (None, Some(color)) => color.clone(),
-            (None, None) => continue,
-        };
-        let weight: f32 = frame.weight.data.iter().sum();
-        let sum: Vec3 = color.data.chunks_exact(3).map(Vec3::from_slice).sum();
-        if weight > 0.0 {
-            seen.push((-from.as_vec3(), sum / weight));
-        }
-    }
-    SeenRadiance(seen)
 }
 
 /// The cache's knobs, named for the reports.

@@ -275,8 +275,9 @@ impl<'a> Bench<'a> {
                     light: &ground.light,
                     baked: None,
                     own: own.as_ref(),
+                    near: None,
                 };
-                RelitObjects::new(self.composition, &lighting, &lit_map(self.composition), &settings)?
+                RelitObjects::new(self.composition, lighting, &lit_map(self.composition), &settings)?
             }
         };
         let prepare_s = start.elapsed().as_secs_f64();

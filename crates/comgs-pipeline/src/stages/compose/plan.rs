@@ -102,6 +102,8 @@ pub(super) struct Plan {
     pub objects: Vec<PlannedObject>,
     pub cameras: Vec<Camera>,
     pub environment: PathBuf,
+    /// Where the light was swept, when it was swept here.
+    pub light_at: Option<DVec3>,
     /// Pictures of the light, when it was swept here.
     pub light_pictures: Option<light::Pictures>,
     /// Share of the sphere around the placement that the scene covers, when it was swept here.
@@ -141,6 +143,7 @@ impl Plan {
             objects,
             cameras,
             environment: PathBuf::new(),
+            light_at: None,
             light_pictures: None,
             coverage: None,
             timings,
@@ -173,6 +176,7 @@ impl Plan {
             self.timings.push(StageTime { stage, seconds: t.seconds, reused: output.reused });
         }
         self.environment = output.environment;
+        self.light_at = Some(centre);
         self.light_pictures = Some(output.pictures);
         self.coverage = Some(output.coverage);
         Ok(())

@@ -40,6 +40,7 @@ pub(super) fn write_composition(
             })
             .collect::<Result<_, PipelineError>>()?,
         light: Some(relative(&plan.environment, &input.output)?),
+        light_at: plan.light_at.map(|at| at.to_array()),
         lamps: Vec::new(),
         effects: EffectPolicy {
             shadow: if config.shadow { ShadowPolicy::Traced } else { ShadowPolicy::None },

@@ -64,7 +64,7 @@ impl OwnLight {
 /// object or bounces on one without probes, or where several objects have no fields to hide each other's light with.
 pub(crate) fn is_cached(composition: &Composition, settings: &Settings) -> bool {
     let wanted = match settings.shading {
-        Shading::Auto => settings.quality != Quality::Reference,
+        Shading::Auto => settings.quality != Quality::Reference || settings.near_field,
         Shading::Cached => true,
         Shading::Sampled => false,
     };

@@ -5,8 +5,8 @@ use super::{Baked, Composition, Relight, Settings};
 use crate::PipelineError;
 use crate::stages::relight::subject::refused;
 use comgs_compose::{
-    CachedRelighter, FieldShadow, Indirect, Lamp, Mirror, ObjectShader, RelightConfig, RelightError,
-    Relighter, SelfOcclusion, ShadowLight, ShadowRatios, objects,
+    CachedRelighter, FieldShadow, Indirect, Lamp, Mirror, NearField, ObjectShader, RelightConfig,
+    RelightError, Relighter, SelfOcclusion, ShadowLight, objects,
 };
 use comgs_geom::Camera;
 use comgs_image::Image;
@@ -26,7 +26,6 @@ pub(crate) enum RelitObjects<'a> {
 }
 
 /// What objects are lit with; all of it belongs to a placement.
-#[derive(Clone, Copy)]
 pub(crate) struct Lighting<'a> {
     /// The merged objects, world space.
     pub cloud: &'a SurfelCloud,
@@ -40,6 +39,8 @@ pub(crate) struct Lighting<'a> {
     pub baked: Option<&'a Baked>,
     /// What they hide of their own.
     pub own: Option<&'a OwnLight>,
+    /// What the scene's nearness makes of the light.
+    pub near: Option<NearField>,
 }
 
 impl<'a> RelitObjects<'a> {
@@ -65,7 +66,7 @@ impl<'a> RelitObjects<'a> {
     /// [`PipelineError::Input`] for what cannot be relit.
     pub fn new(
         composition: &'a Composition,
-        lighting: &Lighting<'a>,
+        lighting: Lighting<'a>,
         map: &EnvironmentMap,
         settings: &Settings,
     ) -> Result<Option<Self>, PipelineError> {
@@ -75,7 +76,7 @@ impl<'a> RelitObjects<'a> {
         let made = if is_cached(composition, settings) {
             Self::cached(composition, lighting, map, settings)
         } else {
-            Self::sampled(composition, lighting, map, settings)
+            Self::sampled(composition, &lighting, map, settings)
         };
         made.map(Some).map_err(|e| refused(&composition.objects[0].subject.path, &e))
     }
@@ -104,7 +105,7 @@ impl<'a> RelitObjects<'a> {
 
     fn cached(
         composition: &'a Composition,
-        lighting: &Lighting<'a>,
+        lighting: Lighting<'a>,
         map: &EnvironmentMap,
         settings: &Settings,
     ) -> Result<Self, RelightError> {
@@ -120,7 +121,7 @@ impl<'a> RelitObjects<'a> {
         let lit: Vec<_> = standing
             .into_iter()
             .zip(&shadows)
-            .map(|((standing, own), others)| (standing, own, others.as_ref().map(|o| o as &dyn ShadowRatios)))
+            .map(|((standing, own), others)| (standing, own, others.as_ref()))
             .collect();
         let mirror = match (lighting.tracer, &composition.objects[..]) {
             _ if lit.is_empty() => Mirror::Open,
@@ -134,7 +135,8 @@ impl<'a> RelitObjects<'a> {
             },
             _ => Mirror::Open,
         };
-        let made = CachedRelighter::new(lighting.cloud, &lit, lighting.light, map, mirror, &config)?;
+        let made =
+            CachedRelighter::new(lighting.cloud, &lit, lighting.light, map, mirror, lighting.near, &config)?;
         Ok(Self::Cached(Box::new(made)))
     }
 }

@@ -55,10 +55,16 @@ pub struct Settings {
     pub rays: Option<u32>,
     /// What the objects hide from themselves and each other.
     pub self_occlusion: bool,
+    /// Light from the scene's surfaces where they are, instead of infinitely far away.
+    pub near_field: bool,
     /// Light that bounces between the objects' surfaces.
     pub indirect: bool,
     /// Light that the objects throw back on the scene.
     pub bounce: bool,
+    /// The photos' defocus on the objects.
+    pub defocus: bool,
+    /// The photos' noise on the frames.
+    pub noise: bool,
     /// Leave out shadows beyond a few radii of the objects.
     pub near_only: bool,
     /// Seed.
@@ -74,8 +80,11 @@ impl Default for Settings {
             shading: Shading::Auto,
             rays: None,
             self_occlusion: true,
+            near_field: false,
             indirect: false,
             bounce: false,
+            defocus: false,
+            noise: false,
             near_only: false,
             seed: 0,
         }

@@ -194,7 +194,8 @@ fn pictures(input: &Input, config: &Config, scene: &Scene) -> Result<Pictures, P
 /// Manifests are small.
 const LARGEST_MANIFEST: u64 = 1 << 20;
 
-fn read_bundle(folder: &Path) -> Result<GuidanceBundle, PipelineError> {
+/// Reads a guidance bundle from its folder.
+pub(crate) fn read_bundle(folder: &Path) -> Result<GuidanceBundle, PipelineError> {
     let path = folder.join("model.json");
     let size = std::fs::metadata(&path).map_err(|e| PipelineError::io(&path, e))?.len();
     if size > LARGEST_MANIFEST {

@@ -5,6 +5,7 @@ use crate::{PipelineError, source};
 use comgs_geom::{Camera, Similarity};
 use comgs_image::Image;
 use comgs_insert::ground::{self, Ground};
+use comgs_insert::horizon::{Upright, upright};
 use comgs_insert::object::{Object, stand};
 use comgs_scene::mesh::{Up, is_mesh};
 use comgs_scene::{AssetKind, Mesh, asset::Unit};
@@ -23,6 +24,19 @@ pub enum CameraFrom {
     Fov(f64),
     /// The first camera of a file; its pose is not used.
     File,
+}
+
+/// Where the ground comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum GroundFrom {
+    /// The photo's own edges ([`comgs_insert::horizon`]); a level camera where they do not tell.
+    Photo {
+        /// Of the camera above it, which no photo tells.
+        height: f64,
+    },
+    /// Given.
+    Given(Ground),
 }
 
 /// Where the object stands.
@@ -55,6 +69,8 @@ pub struct Facts {
     pub height: f64,
     /// Row of the horizon in the middle column.
     pub horizon: f64,
+    /// What the photo's edges told of up, where they were asked.
+    pub upright: Option<Upright>,
     /// Where the object stands on the ground.
     pub at: [f64; 2],
     /// Factor on its size.
@@ -114,12 +130,8 @@ pub(super) fn scene(input: &Input, config: &Config) -> Result<Scene, PipelineErr
     let photo = read_photo(&input.image)?;
     let mut remarks = Vec::new();
     let intrinsics = intrinsics(input, config, &photo, &bytes, &mut remarks)?;
-    if let Ground::Level { height } = config.ground {
-        remarks.push(format!(
-            "the ground is a guess: a level camera {height} m above it; --plane says better, preview.png shows it"
-        ));
-    }
-    let camera = ground::above(&intrinsics, &config.ground).map_err(comgs_insert::InsertError::from)?;
+    let (ground, upright) = plane(config.ground, &photo, &intrinsics, &mut remarks)?;
+    let camera = ground::above(&intrinsics, &ground).map_err(comgs_insert::InsertError::from)?;
     let horizon = ground::horizon_row(&camera, camera.cx);
     let at = match config.at {
         At::Ground(at) => DVec2::from_array(at),
@@ -175,12 +187,62 @@ pub(super) fn scene(input: &Input, config: &Config) -> Result<Scene, PipelineErr
         fov_deg: 2.0 * (0.5 * camera.width as f64 / camera.fx).atan().to_degrees(),
         height: camera.centre().z,
         horizon,
+        upright,
         at: at.to_array(),
         scale,
         size: (object.bounds.1 - object.bounds.0).to_array(),
         remarks,
     };
     Ok(Scene { photo, camera, object, facts })
+}
+
+/// Sides of a rectangle that are this far from square, in degrees, are remarked on.
+const SQUARE_DEG: f64 = 5.0;
+
+/// The ground, and what the photo's edges told of it where they were asked.
+fn plane(
+    from: GroundFrom,
+    photo: &Image,
+    intrinsics: &Camera,
+    remarks: &mut Vec<String>,
+) -> Result<(Ground, Option<Upright>), PipelineError> {
+    let height = match from {
+        GroundFrom::Given(ground) => {
+            if let Ground::Rectangle { corners, .. } = ground {
+                let found =
+                    ground::rectangle(intrinsics, &corners).map_err(comgs_insert::InsertError::from)?;
+                if (found.angle_deg - 90.0).abs() > SQUARE_DEG {
+                    remarks.push(format!(
+                        "the sides of --plane corners meet at {:.0}° instead of 90°: the field of view is wrong (--camera fov=DEG), or \
+                         the corners are",
+                        found.angle_deg
+                    ));
+                }
+            }
+            return Ok((ground, None));
+        }
+        GroundFrom::Photo { height } => height,
+    };
+    let found = upright(photo, intrinsics);
+    Ok(match found.filter(Upright::is_sure) {
+        Some(up) => {
+            remarks.push(format!(
+                "the ground's direction is from the photo's edges ({} upright, {} level, {:.0} % of their length), its distance \
+                 a guess: a camera {height} m above it; preview.png shows it, --plane says better",
+                up.vertical,
+                up.level,
+                100.0 * up.explained
+            ));
+            (Ground::Plane { normal: up.normal, distance: height }, found)
+        }
+        None => {
+            remarks.push(format!(
+                "the ground is a guess: a level camera {height} m above it; the photo's edges do not tell its direction; --plane says \
+                 better, preview.png shows it"
+            ));
+            (Ground::Level { height }, found)
+        }
+    })
 }
 
 fn point(camera: &Camera, x: f64, y: f64) -> Result<DVec2, PipelineError> {

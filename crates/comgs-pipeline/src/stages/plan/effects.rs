@@ -2,6 +2,7 @@
 //! forward pass is the renderer's ([`crate::stages::render_composition`]) with that setting; its estimate is the plan's pilot.
 
 use crate::stages::editing::{Composition, Relight, Settings, Shadow};
+use comgs_compose::CameraLook;
 
 /// The scene's light on the objects.
 pub(crate) const RELIGHT: &str = "scene light on the object";
@@ -11,10 +12,17 @@ pub(crate) const SELF_OCCLUSION: &str = "self-occlusion";
 pub(crate) const SHADOW_NEAR: &str = "cast shadow, near";
 /// Shadow beyond: a low sun.
 pub(crate) const SHADOW_FAR: &str = "cast shadow, far";
+/// Light from surfaces near the objects.
+pub(crate) const NEAR_FIELD: &str = "near-field light";
 /// Light that the objects throw back on the scene.
 pub(crate) const BOUNCE: &str = "bounce on the scene";
 /// Light between the objects' surfaces.
 pub(crate) const INDIRECT: &str = "indirect on the object";
+
+/// The photos' defocus on the objects.
+pub(crate) const DEFOCUS: &str = "defocus";
+/// The photos' noise on the frames.
+pub(crate) const NOISE: &str = "noise";
 
 /// An effect.
 pub(crate) struct Effect {
@@ -39,8 +47,15 @@ fn needs_shadow(composition: &Composition) -> Option<String> {
     (!composition.wants_shadow()).then(|| "the composition asks for no shadow".to_owned())
 }
 
+fn no_look(composition: &Composition, none: fn(&CameraLook) -> bool, why: &str) -> Option<String> {
+    match &composition.look {
+        None => Some("no photos to match were given (`--photos`)".to_owned()),
+        Some(look) => none(look).then(|| why.to_owned()),
+    }
+}
+
 /// All, in the order in which they build on one another.
-pub(crate) const EFFECTS: [Effect; 6] = [
+pub(crate) const EFFECTS: [Effect; 9] = [
     Effect {
         name: RELIGHT,
         needs: None,
@@ -73,6 +88,13 @@ pub(crate) const EFFECTS: [Effect; 6] = [
         turn_on: |s| s.near_only = false,
     },
     Effect {
+        name: NEAR_FIELD,
+        needs: Some(SELF_OCCLUSION),
+        needs_occlusion: false,
+        missing: needs_material,
+        turn_on: |s| s.near_field = true,
+    },
+    Effect {
         name: BOUNCE,
         needs: Some(SHADOW_NEAR),
         needs_occlusion: false,
@@ -86,6 +108,20 @@ pub(crate) const EFFECTS: [Effect; 6] = [
         missing: needs_material,
         turn_on: |s| s.indirect = true,
     },
+    Effect {
+        name: DEFOCUS,
+        needs: None,
+        needs_occlusion: false,
+        missing: |c| no_look(c, |look| look.defocus.is_none(), "the photos are sharp at all depths"),
+        turn_on: |s| s.defocus = true,
+    },
+    Effect {
+        name: NOISE,
+        needs: None,
+        needs_occlusion: false,
+        missing: |c| no_look(c, |look| look.noise.is_none(), "the photos have no noise that 8 bit show"),
+        turn_on: |s| s.noise = true,
+    },
 ];
 
 /// Settings with every effect off.
@@ -94,8 +130,11 @@ pub(crate) fn none(settings: &Settings) -> Settings {
         shadow: Shadow::None,
         relight: Relight::Off,
         self_occlusion: false,
+        near_field: false,
         indirect: false,
         bounce: false,
+        defocus: false,
+        noise: false,
         near_only: false,
         ..settings.clone()
     }

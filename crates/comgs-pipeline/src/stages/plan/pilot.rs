@@ -164,14 +164,14 @@ impl<'a> Pilots<'a> {
 fn of_objects(settings: &Settings, composition: &Composition) -> Settings {
     // Several objects hide each other's light by their shadows.
     let shadow = if composition.objects.len() > 1 { settings.shadow } else { Shadow::None };
-    Settings { shadow, near_only: false, bounce: false, ..settings.clone() }
+    Settings { shadow, near_only: false, bounce: false, defocus: false, noise: false, ..settings.clone() }
 }
 
 /// What the shadow depends on: everything but what is known to concern the objects alone, which throw it back. That they throw
 /// back a little more when light bounces on them first is passed over, unless they are then shaded in another way.
 fn of_shadow(settings: &Settings, composition: &Composition) -> Settings {
     let indirect = settings.indirect && !is_cached(composition, settings);
-    let whole = Settings { near_only: false, indirect, ..settings.clone() };
+    let whole = Settings { near_only: false, indirect, defocus: false, noise: false, ..settings.clone() };
     if settings.bounce {
         return whole;
     }

@@ -37,6 +37,7 @@ pub(super) fn stand_in(composition: &Composition, cameras: Vec<Camera>) -> Compo
         light_path: composition.light_path.clone(),
         map: smaller(&composition.map),
         lamps: composition.lamps.clone(),
+        look: composition.look,
     }
 }
 

@@ -21,6 +21,8 @@ pub struct Input {
     pub composition: PathBuf,
     /// Cameras instead of the composition's.
     pub cameras: Option<PathBuf>,
+    /// Photos of the scene whose defocus and noise frames are to have: any capture.
+    pub photos: Option<PathBuf>,
     /// Folder of occlusion fields (made by `comgs shadow`); what is missing there is baked and kept.
     pub cache: Option<PathBuf>,
     /// Output folder.
@@ -85,7 +87,8 @@ pub fn run_planned(
         }
         None => {
             let warn = |text| run.warn(context, text);
-            let read = Composition::load(&input.composition, input.cameras.as_deref(), warn)?;
+            let mut read = Composition::load(&input.composition, input.cameras.as_deref(), warn)?;
+            read.match_photos(input.photos.as_deref(), context)?;
             (read, None, start.elapsed().as_secs_f64())
         }
     };
@@ -99,7 +102,8 @@ pub fn run_planned(
         let frame_s = record.results["frame_ms"].as_f64().unwrap_or(0.0) / 1e3;
         return Ok(Output { frames: frames_folder, frame_s, reused: true, record });
     }
-    let inputs = json!({"composition": input.composition, "cameras": input.cameras, "cache": input.cache});
+    let inputs = json!({"composition": input.composition, "cameras": input.cameras, "cache": input.cache,
+        "photos": input.photos});
     run.describe(fingerprint, inputs, config, Some(settings.seed))?;
     run.invalidate()?;
 
@@ -227,6 +231,7 @@ pub fn run_planned(
         "relit": renderer.is_relit(),
         "own_light_bytes": own.as_ref().map_or(0, OwnLight::bytes),
         "shadow": renderer.shadow(),
+        "look": composition.look,
         "light_directions": ground.light.directions.len(),
         "strong_lights": ground.light.beams.len(),
         "strong_share": ground.light.strong_share(),
