@@ -326,6 +326,7 @@ mod tests {
         assert!((factor - 1.0).abs().max_element() < 1e-5, "{factor}");
         let open = NearField { inverse: vec![0.0; SIDE * SIDE], ..field.clone() };
         assert_eq!(open.towards(&open.from(Vec3::new(0.5, 0.3, 0.0)), Vec3::X).0, Vec3::X);
+        assert!((field.coverage() - 1.0).abs() < 1e-3 && open.coverage() == 0.0, "{}", field.coverage());
         let black = room(half, Vec3::ZERO, &EnvironmentMap::constant(Vec3::ZERO));
         let dark = black.grid(8, glam::Quat::IDENTITY);
         assert_eq!(black.factor(Vec3::ZERO, Vec3::Z, &dark, |_| 1.0), Vec3::ONE);

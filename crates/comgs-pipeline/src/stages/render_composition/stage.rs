@@ -14,6 +14,9 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
 
+/// Share of the sphere that the scene must cover around the light's centre for a near field to make sense.
+const LEAST_SEEN: f32 = 0.05;
+
 /// Inputs of the stage.
 #[derive(Clone, Debug)]
 pub struct Input {
@@ -152,6 +155,11 @@ pub fn run_planned(
         ("prepare relighting", p.relight_s),
     ] {
         run.add_time(stage, seconds, false);
+    }
+    if ground.near.as_ref().is_some_and(|(near, _)| near.coverage() < LEAST_SEEN) {
+        let text = "hardly anything of the scene is seen from where the light was taken (`light_at`): it comes from infinitely \
+                    far away, near field or not";
+        run.warn(context, text.to_owned());
     }
     if !renderer.is_relit() && settings.relight != crate::stages::editing::Relight::Off {
         let text = "an object has no material: the objects keep the light they were captured under";
